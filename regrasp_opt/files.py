@@ -1,0 +1,56 @@
+"""Atomic writes, content hashes and the folder where prepared models live."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+@contextmanager
+def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Yield a temporary path beside `path`; on success it replaces `path`, on any failure it is removed."""
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        temporary.chmod(0o644)
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def content_hash(*parts: Any) -> str:
+    """Return the SHA-256 hex digest of arrays (rounded to 1e-9), strings, numbers, None and nested sequences."""
+    digest = hashlib.sha256()
+
+    def feed(part: Any) -> None:
+        if isinstance(part, np.ndarray):
+            rounded = np.round(part, 9) + 0.0 if part.dtype.kind == "f" else part
+            digest.update(f"{part.dtype.str}{part.shape}".encode())
+            digest.update(np.ascontiguousarray(rounded).tobytes())
+        elif isinstance(part, (list, tuple)):
+            digest.update(f"({len(part)}".encode())
+            for item in part:
+                feed(item)
+        else:
+            digest.update(f"{type(part).__name__}:{part!r};".encode())
+
+    feed(parts)
+    return digest.hexdigest()
+
+
+def data_home() -> Path:
+    """Return the folder of prepared models and caches: ``$REGRASP_OPT_HOME``, or the user's data folder."""
+    from platformdirs import user_data_path
+
+    return Path(os.environ.get("REGRASP_OPT_HOME") or user_data_path("regrasp-opt"))
