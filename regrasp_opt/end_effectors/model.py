@@ -1,0 +1,110 @@
+"""The end-effector: where its TCP is, how far it opens, and the bodies that can collide."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from regrasp_opt.conventions import FloatArray, invert, translation
+from regrasp_opt.errors import WorkcellError
+from regrasp_opt.files import content_hash
+from regrasp_opt.shapes import Box, Cylinder, Shape
+
+MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
+"""Reflection through the x-z plane of the flange frame, which swaps the two fingers."""
+
+
+@dataclass(frozen=True, eq=False)
+class EndEffector:
+    """A parallel gripper or a suction cup in its flange frame (approach +z, jaws close along y).
+
+    Attributes
+    ----------
+    name : str
+        Short name, for messages.
+    kind : {"parallel", "suction"}
+        What holds the object.
+    tcp_offset : float
+        Distance of the TCP along the flange z axis [m].
+    max_opening : float
+        Full stroke of the jaw [m]; 0 for suction.
+    pre_opening : float
+        How far each finger stands beyond the grasp width while approaching [m]; 0 for suction.
+    cup_radius : float
+        Radius of the suction cup's rim [m]; 0 for a parallel gripper.
+    body : tuple of Shape
+        What does not move with the jaw, flange frame. A suction cup's cylinder ends short of the TCP, by as
+        much as its lip gives way.
+    finger : tuple of Box
+        The +y finger at zero opening, its inner face at y = 0; the other one is its mirror image. Empty for
+        suction.
+    source : str
+        ``"built-in"`` or the path of the file it was read from.
+
+    Raises
+    ------
+    WorkcellError
+        If a finger box is turned against the flange frame, or reaches below y = 0.
+    """
+
+    name: str
+    kind: Literal["parallel", "suction"]
+    tcp_offset: float
+    max_opening: float
+    pre_opening: float
+    cup_radius: float
+    body: tuple[Shape, ...]
+    finger: tuple[Box, ...]
+    source: str = "built-in"
+
+    def __post_init__(self) -> None:
+        where = self.name if self.source == "built-in" else self.source
+        for box in self.finger:
+            if not np.allclose(box.pose[:3, :3], np.eye(3)):
+                raise WorkcellError(f"finger '{box.name}' of '{where}' is turned; give axis-parallel boxes")
+            if box.pose[1, 3] - box.size[1] / 2 < -1e-9:
+                raise WorkcellError(f"finger '{box.name}' of '{where}' reaches below y = 0; give the +y finger only")
+
+    @property
+    def T_flange_tcp(self) -> FloatArray:
+        """The TCP in the flange frame (4, 4)."""
+        return translation(0.0, 0.0, self.tcp_offset)
+
+    @property
+    def T_tcp_flange(self) -> FloatArray:
+        """The flange in the TCP frame (4, 4)."""
+        return invert(self.T_flange_tcp)
+
+    def finger_boxes(self, width: float, swept: float = 0.0) -> tuple[Box, ...]:
+        """Return the boxes of both fingers in the flange frame, those of the +y finger first.
+
+        Parameters
+        ----------
+        width : float
+            Jaw opening between the inner faces [m].
+        swept : float
+            How much each box is thickened outward [m], so that it covers every opening from `width` to
+            ``width + 2 * swept``.
+        """
+        right = []
+        for box in self.finger:
+            pose = translation(0.0, (width + swept) / 2, 0.0) @ box.pose
+            right.append(Box(f"{box.name}+y", box.size + np.array([0.0, swept, 0.0]), pose))
+        left = [Box(f"{box.name[:-2]}-y", box.size, MIRROR @ box.pose @ MIRROR) for box in right]
+        return (*right, *left)
+
+    def fingerprint(self) -> str:
+        """Return a hash of everything that decides which grasps are feasible; the name is not part of it."""
+        shapes = [_shape_parts(shape) for shape in (*self.body, *self.finger)]
+        lengths = [self.tcp_offset, self.max_opening, self.pre_opening, self.cup_radius]
+        return content_hash("end-effector", self.kind, np.array(lengths), len(self.body), shapes)
+
+
+def _shape_parts(shape: Shape) -> tuple[object, ...]:
+    if isinstance(shape, Box):
+        return ("box", np.asarray(shape.size, dtype=np.float64), shape.pose)
+    if isinstance(shape, Cylinder):
+        return ("cylinder", np.array([shape.radius, shape.length]), shape.pose)
+    return ("mesh", shape.vertices, shape.faces, shape.pose)

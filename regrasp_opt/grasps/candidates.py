@@ -1,0 +1,42 @@
+"""What a sampler hands on: collision-free grasps with a grade each, before any are chosen."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
+from regrasp_opt.grasps.surface import tangents
+
+
+class Candidates(NamedTuple):
+    """TCP poses in the object frame (N, 4, 4), jaw widths (N,) [m] and grades (N,), 0 the best."""
+
+    T_object_tcp: FloatArray
+    width: FloatArray
+    grade: IntArray
+
+    def where(self, mask: BoolArray) -> Candidates:
+        """Return those for which `mask` (N,) is true."""
+        return Candidates(self.T_object_tcp[mask], self.width[mask], self.grade[mask])
+
+
+def frames_about(
+    positions: FloatArray, axis: FloatArray, turns: int, rng: np.random.Generator, *, closing: bool = False
+) -> FloatArray:
+    """Return `turns` evenly turned frames (N * turns, 4, 4) at `positions` (N, 3) about unit `axis` (N, 3).
+
+    The axis is z, or with `closing` y; the first angle is random at each position.
+    """
+    count = len(positions)
+    u, v = tangents(axis)
+    angle = (rng.random((count, 1)) + np.arange(turns)) * 2 * np.pi / turns
+    spoke = np.cos(angle)[..., None] * u[:, None] + np.sin(angle)[..., None] * v[:, None]
+    fixed = np.broadcast_to(axis[:, None], spoke.shape)
+    y, z = (fixed, spoke) if closing else (spoke, fixed)
+    frames = np.zeros((count, turns, 4, 4))
+    frames[..., :3, 0], frames[..., :3, 1], frames[..., :3, 2] = np.cross(y, z), y, z
+    frames[..., :3, 3] = positions[:, None]
+    frames[..., 3, 3] = 1.0
+    return frames.reshape(-1, 4, 4)

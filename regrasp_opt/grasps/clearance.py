@@ -1,0 +1,82 @@
+"""Whether an end-effector in a grasp pose is clear of the object (Coal, on its true, concave surface).
+
+The fingers are checked in every opening between almost closed and the approach opening, so that the jaw can
+come in and let go. Contact is a surface test: a finger wholly inside the solid would pass it. That cannot
+happen here: a finger begins `CONTACT_TOLERANCE` beyond a contact, just outside the surface, and the fingers
+and the body touch one another.
+"""
+
+from __future__ import annotations
+
+import coal
+import numpy as np
+
+from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
+from regrasp_opt.end_effectors import EndEffector
+from regrasp_opt.shapes import Box, Cylinder, Shape
+
+CONTACT_TOLERANCE = 0.001
+"""How far each finger stands beyond its contact where it must be clear of the object [m]."""
+
+BODY_CLEARANCE = 0.002
+"""Least distance of a parallel gripper's body to the object [m]; a suction cup's may touch it."""
+
+
+class GripperClearance:
+    """The collision test of one end-effector against one object, both fixed in shape."""
+
+    def __init__(self, vertices: FloatArray, faces: IntArray, end_effector: EndEffector) -> None:
+        self._object = _coal_mesh(vertices, faces)
+        self._T_tcp_flange = end_effector.T_tcp_flange
+        inner = min(CONTACT_TOLERANCE, end_effector.pre_opening)
+        self._fingers = end_effector.finger_boxes(2 * inner, swept=end_effector.pre_opening - inner)
+        self._body = end_effector.body
+        self._margin = BODY_CLEARANCE if end_effector.kind == "parallel" else 0.0
+
+    def body_free(self, T_object_tcp: FloatArray) -> BoolArray:
+        """Return in which of the TCP poses (N, 4, 4) the body is clear of the object (N,)."""
+        free = np.ones(len(T_object_tcp), dtype=bool)
+        for shape in self._body:
+            self._reject(free, shape, T_object_tcp @ (self._T_tcp_flange @ shape.pose), self._margin)
+        return free
+
+    def fingers_free(self, T_object_tcp: FloatArray, width: FloatArray) -> BoolArray:
+        """Return in which of the grasps (N, 4, 4), of jaw widths (N,) [m], both fingers are clear (N,)."""
+        free = np.ones(len(T_object_tcp), dtype=bool)
+        half = len(self._fingers) // 2
+        for index, box in enumerate(self._fingers):
+            outward = (0.5 if index < half else -0.5) * width
+            poses = T_object_tcp @ (self._T_tcp_flange @ box.pose)
+            poses[:, :3, 3] += outward[:, None] * T_object_tcp[:, :3, 1]
+            self._reject(free, box, poses, 0.0)
+        return free
+
+    def _reject(self, free: BoolArray, shape: Shape, poses: FloatArray, margin: float) -> None:
+        geometry = _coal_shape(shape)
+        request, origin = coal.CollisionRequest(), coal.Transform3s()
+        request.security_margin = margin
+        for index in np.flatnonzero(free):
+            placed = coal.Transform3s(poses[index, :3, :3], poses[index, :3, 3])
+            hit = coal.collide(self._object, origin, geometry, placed, request, coal.CollisionResult())
+            free[index] = not hit
+
+
+def _coal_mesh(vertices: FloatArray, faces: IntArray) -> coal.BVHModelOBBRSS:
+    points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    for vertex in vertices:
+        points.append(vertex)
+    for face in faces.tolist():
+        triangles.append(coal.Triangle(*face))
+    model = coal.BVHModelOBBRSS()
+    model.beginModel(len(faces), len(vertices))
+    model.addSubModel(points, triangles)
+    model.endModel()
+    return model
+
+
+def _coal_shape(shape: Shape) -> coal.CollisionGeometry:
+    if isinstance(shape, Box):
+        return coal.Box(*(float(length) for length in shape.size))
+    if isinstance(shape, Cylinder):
+        return coal.Cylinder(shape.radius, shape.length)
+    return _coal_mesh(shape.vertices, shape.faces)

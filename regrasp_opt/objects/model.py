@@ -1,0 +1,113 @@
+"""The object that is regrasped: one solid mesh with the ways in which it rests on a table."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from regrasp_opt.conventions import FloatArray, IntArray
+from regrasp_opt.errors import OptionError, UnknownNameError
+from regrasp_opt.files import content_hash
+from regrasp_opt.objects.builtin import OBJECT_NAMES, build
+from regrasp_opt.objects.mesh import MESH_SUFFIXES, read_mesh
+from regrasp_opt.objects.placements import Placement, stable_placements
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectModel:
+    """A rigid solid of uniform density.
+
+    Attributes
+    ----------
+    name : str
+        The built-in name, or the stem of the file's name.
+    mesh : trimesh.Trimesh
+        Watertight surface with outward normals in the object frame, which is that of the file [m].
+    placements : tuple of Placement
+        Stable placements by falling margin; empty when there is none.
+    source : str
+        ``"built-in"`` or the path of the file.
+    scale, repair
+        What `load_object` was told, so that the same object can be loaded again.
+    """
+
+    name: str
+    mesh: trimesh.Trimesh
+    placements: tuple[Placement, ...]
+    source: str = "built-in"
+    scale: float = 1.0
+    repair: bool = False
+
+    @cached_property
+    def vertices(self) -> FloatArray:
+        """Vertices (V, 3) in the object frame [m], read-only."""
+        vertices = np.array(self.mesh.vertices, dtype=np.float64)
+        vertices.flags.writeable = False
+        return vertices
+
+    @cached_property
+    def faces(self) -> IntArray:
+        """Triangles (F, 3) as vertex indices, counter-clockwise from outside, read-only."""
+        faces = np.array(self.mesh.faces, dtype=np.int64)
+        faces.flags.writeable = False
+        return faces
+
+    @cached_property
+    def center_of_mass(self) -> FloatArray:
+        """Centre of mass (3,) in the object frame [m]."""
+        return np.array(self.mesh.center_mass, dtype=np.float64)
+
+    @cached_property
+    def _fingerprint(self) -> str:
+        return content_hash("object", self.vertices, self.faces)
+
+    def fingerprint(self) -> str:
+        """Return a hash of the vertices and faces; name and source are not part of it."""
+        return self._fingerprint
+
+
+def load_object(name_or_path: str | os.PathLike[str], *, scale: float = 1.0, repair: bool = False) -> ObjectModel:
+    """Return a built-in object by name, or any other from the path of its mesh file.
+
+    A string is taken as a path when it ends in a mesh suffix, has a folder in it or names a file.
+
+    Parameters
+    ----------
+    name_or_path : str or path
+        ``"bottle"``, ``"mug"``, ``"pentagon"``, ``"figurine"``, or an STL, OBJ, PLY or GLB file.
+    scale : float
+        Metres per unit of the file, for example 0.001; also scales a built-in object.
+    repair : bool
+        Mend the file's mesh where that can be done safely.
+
+    Raises
+    ------
+    UnknownNameError
+        If the string is neither a built-in name nor a path.
+    MeshError
+        If the file cannot be read or holds no solid of a plausible size; names the repair where there is one.
+    OptionError
+        If `scale` is not a positive number.
+    """
+    if isinstance(name_or_path, str) and name_or_path in OBJECT_NAMES:
+        return _built_in(name_or_path, scale)
+    path = Path(name_or_path)
+    is_bare = isinstance(name_or_path, str) and path.name == name_or_path and not path.is_file()
+    if is_bare and path.suffix.lower() not in MESH_SUFFIXES:
+        raise UnknownNameError("object", str(name_or_path), OBJECT_NAMES)
+    mesh = read_mesh(path, scale=scale, repair=repair)
+    return ObjectModel(path.stem, mesh, stable_placements(mesh), str(path), scale, repair)
+
+
+def _built_in(name: str, scale: float) -> ObjectModel:
+    if not (np.isfinite(scale) and scale > 0):
+        raise OptionError(f"scale is {scale}; give a positive number")
+    mesh = build(name)
+    if scale != 1.0:
+        mesh = trimesh.Trimesh(mesh.vertices * scale, mesh.faces, process=False)
+    return ObjectModel(name, mesh, stable_placements(mesh), scale=scale)

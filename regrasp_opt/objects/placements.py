@@ -1,0 +1,147 @@
+"""Stable placements: the ways in which an object rests on a flat table, each with its stability margin.
+
+The support of a hull facet is that facet with all others whose normals are within `MERGE_ANGLE` of its own,
+so that a face cut into many slightly tilted triangles counts as one. A facet is stable when the centre of
+mass lies well above its support. Stable facets that lead from one to the next in steps of at most
+`MERGE_ANGLE` are rolling neighbours: one placement, which takes the best margin among them and the pose in
+which the object comes to rest there, the one with the centre of mass lowest.
+
+A round body lying on its side has no stable facet: its support is a strip whose half width is under
+`MERGE_ANGLE` times the radius, so its margin is far below 0.1. A prism of few sides lies stably on each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import ConvexHull, KDTree, QhullError
+
+from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
+from regrasp_opt.errors import MeshError
+
+MERGE_ANGLE = np.pi / 64
+"""Facets of the hull whose normals are within this angle of a facet belong to its support [rad]."""
+
+TIE = 1e-6
+"""Margins closer than this count as equal when placements are ordered."""
+
+FLIP = np.diag([1.0, -1.0, -1.0])
+"""Half a turn about x."""
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """One way of resting on the table.
+
+    Attributes
+    ----------
+    pose : FloatArray
+        ``T_world_object`` (4, 4) at xi = 0: the support on z = 0, the centre of mass above the world origin.
+    margin : float
+        Least distance of the projected centre of mass to the edge of the support polygon, over its height
+        above the support.
+    """
+
+    pose: FloatArray
+    margin: float
+
+
+def stable_placements(mesh: trimesh.Trimesh, min_margin: float = 0.1) -> tuple[Placement, ...]:
+    """Return the placements of a solid of uniform density whose margin is at least `min_margin`.
+
+    They are ordered by falling margin; equal ones by the direction of their support in the object frame. The
+    result does not depend on how the surface is triangulated.
+
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+        A watertight mesh [m].
+    min_margin : float
+        Smallest relative stability margin that counts as stable.
+
+    Raises
+    ------
+    MeshError
+        If the mesh is flat, so that it has no convex hull.
+    """
+    points = np.asarray(mesh.vertices, dtype=np.float64) - mesh.center_mass
+    try:
+        hull = ConvexHull(points)
+    except QhullError as error:
+        raise MeshError("the mesh is flat and has no convex hull; give a solid") from error
+    normals, heights = hull.equations[:, :3], -hull.equations[:, 3]
+    tree = KDTree(normals)
+    supports = [np.array(near) for near in tree.query_ball_point(normals, 2 * np.sin(MERGE_ANGLE / 2))]
+    margins = np.array(
+        [
+            _inner_distance(points[np.unique(hull.simplices[support])], normal) / height
+            for support, normal, height in zip(supports, normals, heights, strict=True)
+        ]
+    )
+    found = []
+    for group in _rolling_neighbours(supports, margins >= min_margin):
+        best = group[np.argmax(margins[group])]
+        rest = supports[best][np.argmin(heights[supports[best]])]
+        placement = Placement(_resting_pose(mesh, rotation_to_down(normals[rest])), float(margins[best]))
+        found.append((placement, normals[rest]))
+    return _ordered(found)
+
+
+def rotation_to_down(normal: FloatArray) -> FloatArray:
+    """Return a rotation (3, 3) that takes the unit vector `normal` (3,) to -z without needless yaw.
+
+    It is the least rotation; near +z, where that is ill-defined, half a turn about x comes before it.
+    """
+    first = FLIP if normal[2] > 0.9 else np.eye(3)
+    a, b, c = first @ normal
+    # Rodrigues' formula about the axis (-b, a, 0); 1 - c is bounded away from zero here.
+    k = 1.0 / (1.0 - c)
+    least = np.array([[1 - k * a * a, -k * a * b, a], [-k * a * b, 1 - k * b * b, b], [-a, -b, -c]])
+    return least @ first
+
+
+def _rolling_neighbours(supports: list[IntArray], stable: BoolArray) -> list[IntArray]:
+    """Return the groups of stable facets that are linked through the supports of stable facets."""
+    size = len(supports)
+    links = coo_array(
+        (
+            np.ones(sum(map(len, supports))),
+            (np.repeat(np.arange(size), list(map(len, supports))), np.concatenate(supports)),
+        ),
+        shape=(size, size),
+    ).tocsr()
+    members = np.flatnonzero(stable)
+    count, labels = connected_components(links[members][:, members], directed=False)
+    return [members[labels == label] for label in range(count)]
+
+
+def _inner_distance(points: FloatArray, normal: FloatArray) -> float:
+    """Return the least distance, seen along `normal`, of the origin to the edge of the hull of `points`.
+
+    `points` are (P, 3); the distance is negative when the origin lies outside.
+    """
+    polygon = (points @ rotation_to_down(normal).T)[:, :2]
+    try:
+        return float(-ConvexHull(polygon).equations[:, 2].max())
+    except QhullError:
+        return -np.inf
+
+
+def _resting_pose(mesh: trimesh.Trimesh, rotation: FloatArray) -> FloatArray:
+    pose = np.eye(4)
+    pose[:3, :3] = rotation
+    pose[:3, 3] = -rotation @ mesh.center_mass
+    pose[2, 3] = -(np.asarray(mesh.vertices) @ rotation[2]).min()
+    return pose
+
+
+def _ordered(found: list[tuple[Placement, FloatArray]]) -> tuple[Placement, ...]:
+    """Sort by falling margin, and within runs of equal margins by the support's normal."""
+    found = sorted(found, key=lambda item: -item[0].margin)
+    ranks = np.cumsum(np.diff([-placement.margin for placement, _ in found], prepend=-np.inf) > TIE)
+    keys = [(rank, *(np.round(normal, 4) + 0.0)) for rank, (_, normal) in zip(ranks, found, strict=True)]
+    return tuple(found[index][0] for index in sorted(range(len(found)), key=keys.__getitem__))
