@@ -1,0 +1,198 @@
+"""Robots from URDF files: the built-in ones by name, any other by path."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from regrasp_opt.conventions import FloatArray
+from regrasp_opt.errors import UnknownNameError, WorkcellError
+from regrasp_opt.robots import urdf
+from regrasp_opt.robots.analytic import analytic_ik
+from regrasp_opt.robots.kinematics import chain_of_model
+from regrasp_opt.robots.numerical import NumericalIk
+from regrasp_opt.robots.robot import Robot
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+ROBOT_NAMES = ("nova2",)
+"""The built-in robots."""
+
+
+@dataclass(frozen=True)
+class RobotSource:
+    """What a robot is made from; it travels between processes in the robot's place."""
+
+    name: str
+    path: str
+    xml: bytes
+    joints: tuple[str, ...]
+    tip: str
+    home: tuple[float, ...] | None
+    ignored: frozenset[frozenset[str]]
+
+
+def load_robot(
+    name_or_path: str | os.PathLike[str],
+    *,
+    tip: str | None = None,
+    package_dirs: Iterable[str | os.PathLike[str]] = (),
+    home: Sequence[float] | None = None,
+    ignore_collisions: Iterable[tuple[str, str] | Sequence[str]] = (),
+) -> Robot:
+    """Return a built-in robot by name, or any serial arm from the path of its URDF file.
+
+    Joints that do not lead to the tip are locked at their neutral position.
+
+    Parameters
+    ----------
+    name_or_path : str or path
+        One of `ROBOT_NAMES`, or a URDF file. A string is a path when it ends in ``.urdf`` or has a folder
+        in it.
+    tip : str, optional
+        Link that carries the tool; by default ``tool0``, ``flange`` or ``ee_link``, else where the arm ends.
+    package_dirs : iterable of paths
+        Folders in which ``package://name`` is looked up, besides those above the URDF file.
+    home : sequence of float, optional
+        Rest configuration (dof,) [rad, m]; by default the built-in one, else 0, or mid-range where 0 is
+        outside.
+    ignore_collisions : iterable of pairs of str
+        Pairs of links that are never tested against each other, for example because they always touch.
+
+    Raises
+    ------
+    UnknownNameError
+        If the string is neither a built-in name nor a path.
+    WorkcellError
+        If the URDF cannot be read or is no serial arm on a fixed base, or `tip`, `home` or a link does not
+        fit it.
+    """
+    ignored = frozenset(frozenset(pair) for pair in ignore_collisions)
+    name = None
+    path = Path(name_or_path)
+    if isinstance(name_or_path, str) and name_or_path in ROBOT_NAMES:
+        name = name_or_path
+        folder = Path(str(files("regrasp_opt"))) / "data" / "robots" / name
+        defaults = tomllib.loads((folder / f"{name}.toml").read_text("utf-8"))
+        path, tip = folder / f"{name}.urdf", tip or defaults["tip"]
+        home = defaults["home"] if home is None else home
+        ignored |= frozenset(frozenset(pair) for pair in defaults["ignore_collisions"])
+    elif isinstance(name_or_path, str) and path.suffix.lower() != ".urdf" and path.name == name_or_path:
+        raise UnknownNameError("robot", name_or_path, ROBOT_NAMES)
+    return build_robot(_source(name, path, tip, package_dirs, home, ignored))
+
+
+def _source(
+    name: str | None,
+    path: Path,
+    tip: str | None,
+    package_dirs: Iterable[str | os.PathLike[str]],
+    home: Sequence[float] | None,
+    ignored: frozenset[frozenset[str]],
+) -> RobotSource:
+    root = urdf.read_urdf(path)
+    parents = urdf.joint_of_child(root, path)
+    tip = tip or urdf.default_tip(root, parents)
+    chain = urdf.chain_to(tip, root, parents, path)
+    urdf.settle_joints(chain, path)
+    urdf.settle_meshes(root, path, package_dirs)
+    links = [link.get("name", "") for link in root.iterfind("link")]
+    for pair in ignored:
+        for link in sorted(pair):
+            if link not in links:
+                known = ", ".join(urdf.closest(link, links))
+                raise WorkcellError(f"{path}: no link '{link}' to ignore collisions of; known: {known}")
+    return RobotSource(
+        name=name or root.get("name") or path.stem,
+        path=str(path),
+        xml=ET.tostring(root),
+        joints=tuple(joint.get("name", "") for joint in chain),
+        tip=tip,
+        home=None if home is None else tuple(map(float, home)),
+        ignored=ignored,
+    )
+
+
+def build_robot(source: RobotSource) -> Robot:
+    """Return the robot described by `source`."""
+    model, collision = _pinocchio_models(source)
+    lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
+    home = _home(source, lower, upper)
+    chain = chain_of_model(model, source.tip)
+    analytic = analytic_ik(chain, lower, upper)
+    return Robot(
+        name=source.name,
+        urdf_path=source.path,
+        model=model,
+        collision=collision,
+        tip_frame=source.tip,
+        chain=chain,
+        ik=analytic or NumericalIk(chain, model, source.tip, lower, upper, home),
+        lower=lower,
+        upper=upper,
+        velocity_limits=np.array(model.velocityLimit),
+        home=home,
+        ignored=source.ignored,
+        rebuild=(build_robot, (source,)),
+    )
+
+
+def _pinocchio_models(source: RobotSource) -> tuple[pin.Model, pin.GeometryModel]:
+    """Return model and collision bodies with all joints locked but those of the chain."""
+    xml = source.xml.decode()
+    try:
+        with _quiet_stderr():
+            full = pin.buildModelFromXML(xml)
+            bodies = pin.buildGeomFromUrdfString(full, xml, pin.GeometryType.COLLISION)
+    except (ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise WorkcellError(f"robot file {source.path} is no URDF that Pinocchio can read: {reason}") from error
+    locked = [joint for joint in range(1, full.njoints) if full.names[joint] not in source.joints]
+    model, (collision,) = pin.buildReducedModel(full, [bodies], locked, pin.neutral(full))
+    return model, collision
+
+
+def _home(source: RobotSource, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Return the rest configuration, checked against number of joints and limits."""
+    if source.home is None:
+        return np.where((lower <= 0) & (upper >= 0), 0.0, (lower + upper) / 2)
+    home = np.array(source.home)
+    if home.shape != lower.shape:
+        raise WorkcellError(
+            f"home of robot '{source.name}' has {len(home)} values; give {len(lower)}, for {', '.join(source.joints)}"
+        )
+    outside = np.flatnonzero(~((home >= lower) & (home <= upper)))
+    if len(outside):
+        i = int(outside[0])
+        raise WorkcellError(
+            f"home of robot '{source.name}' puts {source.joints[i]} at {home[i]:g}, outside its limits "
+            f"{lower[i]:g} to {upper[i]:g}; give a value within them"
+        )
+    return home
+
+
+@contextmanager
+def _quiet_stderr() -> Iterator[None]:
+    """Keep what C++ libraries print to the process's stderr off the screen; they raise exceptions as well."""
+    sys.stderr.flush()
+    saved = os.dup(2)
+    with tempfile.TemporaryFile() as sink:
+        os.dup2(sink.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(saved, 2)
+            os.close(saved)

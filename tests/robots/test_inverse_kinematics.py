@@ -1,0 +1,160 @@
+"""Inverse kinematics, analytic and numerical: sound, complete, within limits, repeatable."""
+
+import numpy as np
+import pytest
+from arms import GENERAL_SIX, arm_urdf
+from hypothesis import given
+from hypothesis import strategies as st
+
+from regrasp_opt.conventions import FK_POSITION_TOLERANCE, FK_ROTATION_TOLERANCE, pose_distance
+from regrasp_opt.robots import load_robot
+from regrasp_opt.robots.analytic import AnalyticIk
+from regrasp_opt.robots.ik import principal
+from regrasp_opt.robots.numerical import NumericalIk
+
+
+@pytest.fixture(scope="module")
+def general(tmp_path_factory):
+    path = tmp_path_factory.mktemp("general") / "arm.urdf"
+    path.write_text(arm_urdf(GENERAL_SIX))
+    return load_robot(path)
+
+
+def configurations(robot, count, seed=0):
+    return np.random.default_rng(seed).uniform(robot.lower, robot.upper, (count, robot.dof))
+
+
+def same(a, b, tolerance=1e-5):
+    """Whether configurations are equal but for whole turns."""
+    return np.abs((a - b + np.pi) % (2 * np.pi) - np.pi).max(axis=-1) < tolerance
+
+
+def check_sound(robot, T, solutions):
+    distance, angle = pose_distance(robot.forward(solutions.q), T[solutions.pose_index])
+    assert distance.max() <= FK_POSITION_TOLERANCE
+    assert angle.max() <= FK_ROTATION_TOLERANCE
+    assert (solutions.q >= robot.lower - 1e-9).all()
+    assert (solutions.q <= robot.upper + 1e-9).all()
+    assert (np.diff(solutions.pose_index) >= 0).all()
+
+
+def share_found(q, solutions):
+    return np.mean([same(solutions.q[solutions.pose_index == k], q[k]).any() for k in range(len(q))])
+
+
+def test_solvers_are_chosen_by_the_arm(any_robot, general):
+    analytic = {"nova2", "ur5", "ur10"}
+    assert isinstance(any_robot.ik, AnalyticIk if any_robot.name in analytic else NumericalIk)
+    assert isinstance(general.ik, NumericalIk)
+
+
+@pytest.mark.parametrize("name", ["nova2", "ur5"])
+def test_analytic_branches_are_sound_and_contain_where_the_pose_came_from(name, request):
+    robot = request.getfixturevalue(name)
+    q = configurations(robot, 1000)
+    T = robot.forward(q)
+    solutions = robot.solve_ik(T)
+    check_sound(robot, T, solutions)
+    assert share_found(q, solutions) == 1.0
+    assert len(solutions.q) / len(q) > 4
+
+
+def test_analytic_branches_miss_none_that_a_numerical_search_finds(nova2):
+    search = NumericalIk(nova2.chain, nova2.model, "flange", nova2.lower, nova2.upper, nova2.home)
+    T = nova2.forward(configurations(nova2, 12, seed=3))
+    found, branches = search.solve(T), nova2.solve_ik(T)
+    assert len(found.q) > 30
+    for q, k in zip(found.q, found.pose_index, strict=True):
+        assert same(branches.q[branches.pose_index == k], q).any()
+
+
+@pytest.mark.parametrize("bend", [0.0, 1e-9, 1e-6, 1e-3])
+def test_a_stretched_elbow_is_found(nova2, bend):
+    q = configurations(nova2, 100, seed=4)
+    q[:, 2] = bend
+    T = nova2.forward(q)
+    solutions = nova2.solve_ik(T)
+    check_sound(nova2, T, solutions)
+    assert set(solutions.pose_index) == set(range(100))
+
+
+def test_float32_poses_have_solutions(nova2):
+    T = nova2.forward(configurations(nova2, 100)).astype(np.float32)
+    assert set(nova2.solve_ik(T).pose_index) == set(range(100))
+
+
+def test_poses_out_of_reach_have_none(nova2, panda):
+    for robot in (nova2, panda):
+        T = np.eye(4)[None].repeat(3, 0)
+        T[:, 0, 3] = 1.01 * robot.max_reach, 3.0, 100.0
+        solutions = robot.solve_ik(T)
+        assert solutions.q.shape == (0, robot.dof)
+        assert solutions.pose_index.shape == (0,)
+
+
+def test_an_empty_batch_and_a_single_pose(nova2, panda):
+    for robot in (nova2, panda):
+        assert robot.solve_ik(np.zeros((0, 4, 4))).q.shape == (0, robot.dof)
+        assert len(robot.solve_ik(robot.forward(robot.home)).q) > 0
+
+
+def test_a_mixed_batch_keeps_its_indices(nova2):
+    reachable = nova2.forward(nova2.home)
+    far = reachable.copy()
+    far[0, 3] = 5.0
+    assert set(nova2.solve_ik(np.array([far, reachable, far, reachable])).pose_index) == {1, 3}
+
+
+@pytest.mark.parametrize("name", ["panda", "general"])
+def test_numerical_solutions_are_sound_and_distinct(name, request):
+    robot = request.getfixturevalue(name)
+    T = robot.forward(configurations(robot, 12, seed=5))
+    solutions = robot.solve_ik(T)
+    check_sound(robot, T, solutions)
+    assert set(solutions.pose_index) == set(range(12))
+    for k in range(12):
+        q = solutions.q[solutions.pose_index == k]
+        gaps = np.abs(q[:, None] - q[None]).max(axis=-1) + np.eye(len(q))
+        assert gaps.min() > 1e-3
+
+
+def test_numerical_search_finds_where_the_pose_came_from(general):
+    q = configurations(general, 24, seed=6)
+    assert share_found(q, general.solve_ik(general.forward(q))) >= 0.9
+
+
+def test_the_same_poses_give_the_same_solutions(nova2, panda):
+    for robot, again in ((nova2, load_robot("nova2")), (panda, panda)):
+        T = robot.forward(configurations(robot, 4, seed=7))
+        np.testing.assert_array_equal(robot.solve_ik(T).q, again.solve_ik(T).q)
+        whole = robot.solve_ik(T)
+        np.testing.assert_array_equal(robot.solve_ik(T[2:3]).q, whole.q[whole.pose_index == 2])
+
+
+def test_equivalents_are_all_whole_turns_within_limits(nova2):
+    q = np.array([0.5, 1.0, -2.0, -3.0, 0.0, 6.0])
+    found = nova2.equivalents(q)
+    expected = 2 * 1 * 1 * 2 * 1 * 2
+    assert found.shape == (expected, 6)
+    assert len(np.unique(np.round(found, 6), axis=0)) == expected
+    assert same(found, q).all()
+    assert (found >= nova2.lower).all()
+    assert (found <= nova2.upper).all()
+
+
+def test_sliding_joints_have_no_equivalents(mixed):
+    q = np.array([0.0, 0.1, 0.5, 0.0])
+    np.testing.assert_allclose(mixed.equivalents(q), [[0, 0.1, 0.5 - 2 * np.pi, 0], [0, 0.1, 0.5, 0]])
+
+
+@given(st.floats(-20, 20), st.floats(-7, 6), st.floats(0.1, 8))
+def test_principal_is_the_nearest_value_to_zero_within_the_limits(q, lower, width):
+    upper = lower + width
+    value, fits = principal(np.array([[q]]), np.array([lower]), np.array([upper]), np.array([True]))
+    candidates = q + 2 * np.pi * np.arange(-8, 9)
+    inside = candidates[(candidates >= lower) & (candidates <= upper)]
+    near_a_limit = np.abs(candidates - lower).min() < 1e-6 or np.abs(candidates - upper).min() < 1e-6
+    if not near_a_limit:
+        assert fits[0] == (len(inside) > 0)
+    if fits[0] and not near_a_limit:
+        assert abs(value[0, 0]) == pytest.approx(np.abs(inside).min(), abs=1e-6)
