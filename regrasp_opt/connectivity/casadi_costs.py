@@ -1,0 +1,189 @@
+"""`Q_pair` (Eq. 4) and `J_seq` (Eq. 5) as CasADi functions of planar parameters, with exact derivatives.
+
+`sequence_functions` is what a solver uses: value, gradient and Hessian of ``J_seq`` for N intermediate poses whose
+placements, and the energies at start and goal, are parameters, so that one solver object serves every problem with
+the same N. Writing ``w_i`` for the softmin weights of pair i and ``c_i = dJ/dQ_i``, the chain rule gives
+
+    dJ/dE_i       = omega_i = c_{i-1} w_{i-1} + c_i w_i
+    Hessian       = sum_i sum_g omega_ig d2E_ig                        (block diagonal, one sweep a pose)
+                  - sum_i c_i / alpha * Cov_{w_i}[dE_i + dE_{i+1}]       (tridiagonal blocks)
+                  + 2 lambda_reg sum_i (dQ_i - dQ_{i+1}) (dQ_i - dQ_{i+1})^T
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from regrasp_opt.connectivity.costs import CostOptions
+from regrasp_opt.conventions import FloatArray
+from regrasp_opt.energy.casadi_energy import CasadiEnergy
+from regrasp_opt.errors import OptionError
+
+
+class ConnectivityFunctions(NamedTuple):
+    """`E`, `Q_pair` and `J_seq` of one chain of poses as `casadi.Function`; see `connectivity_functions`."""
+
+    E: Any
+    Q_pair: Any
+    J_seq: Any
+
+
+class SequenceFunctions(NamedTuple):
+    """Value, gradient and Hessian of ``J_seq``: inputs ``xi`` (3, N), ``placements`` (4, 4N), ``ends`` (G, 2)."""
+
+    cost: Any
+    gradient: Any
+    hessian: Any
+
+
+def pair_score(energy_a: Any, energy_b: Any, alpha: float) -> Any:
+    """Return ``Q_pair`` of energies (G, 1) (Eq. 4); smooth, and safe from overflow."""
+    return -alpha * ca.logsumexp(-(energy_a + energy_b) / alpha)
+
+
+def softmin_weights(energy_a: Any, energy_b: Any, alpha: float) -> Any:
+    """Return ``w = dQ_pair/dE_a = dQ_pair/dE_b`` (G, 1), which sum to one."""
+    total = -(energy_a + energy_b) / alpha
+    terms = ca.exp(total - ca.mmax(total))
+    return terms / ca.sum1(terms)
+
+
+def cost_of_scores(scores: Sequence[Any], lambda_reg: float) -> Any:
+    """Return ``J_seq`` of the N+1 pair scores (Eq. 5)."""
+    cost = sum(scores[1:], scores[0])
+    for i in range(len(scores) - 1):
+        cost = cost + lambda_reg * (scores[i] - scores[i + 1]) ** 2
+    return cost
+
+
+def plain_sequence_cost(energy: CasadiEnergy, options: CostOptions, num_regrasps: int) -> Any:
+    """Return ``J_seq`` as a function built without any derivative structure: the reference for `sequence_functions`."""
+    xi, placements, ends = _symbols(energy, num_regrasps)
+    energies = [energy.planar_expression(xi[:, i], placements[:, 4 * i : 4 * i + 4]) for i in range(num_regrasps)]
+    chain = [ends[:, 0], *energies, ends[:, 1]]
+    scores = [pair_score(a, b, options.alpha) for a, b in itertools.pairwise(chain)]
+    cost = cost_of_scores(scores, options.regularisation)
+    return ca.Function("J_seq_plain", [xi, placements, ends], [cost], ["xi", "placements", "ends"], ["J"])
+
+
+def sequence_functions(energy: CasadiEnergy, options: CostOptions, num_regrasps: int) -> SequenceFunctions:
+    """Return value, gradient and Hessian of ``J_seq`` for `num_regrasps` intermediate poses (see module docstring).
+
+    Raises
+    ------
+    OptionError
+        For the truncated variant, which has no useful derivative where no grasp is shared.
+    """
+    if options.variant == "Jh":
+        raise OptionError("the truncated cost Jh is not differentiable; use variant J or J+ with a gradient solver")
+    xi, placements, ends = inputs = _symbols(energy, num_regrasps)
+    names = ["xi", "placements", "ends"]
+    layers = [energy.planar_layer(placements[:, 4 * i : 4 * i + 4]) for i in range(num_regrasps)]
+
+    light = [energy.forward(layer, xi[:, i], tangents=False) for i, layer in enumerate(layers)]
+    chain = _Chain([ends[:, 0], *(p.energy for p in light), ends[:, 1]], options)
+    gradient = [energy.gradient(p, chain.omega(i + 1)) for i, p in enumerate(light)]
+
+    full = [energy.forward(layer, xi[:, i], tangents=True) for i, layer in enumerate(layers)]
+    bent = _Chain([ends[:, 0], *(p.energy for p in full), ends[:, 1]], options)
+    curvatures = [energy.curvature(p, bent.omega(i + 1)) for i, p in enumerate(full)]
+    hessian = ca.diagcat(*curvatures) + bent.coupling([p.tangent for p in full])
+    return SequenceFunctions(
+        ca.Function("J_seq", inputs, [chain.cost], names, ["J"]),
+        ca.Function("J_seq_gradient", inputs, [chain.cost, ca.vertcat(*gradient)], names, ["J", "gradient"]),
+        ca.Function("J_seq_hessian", inputs, [hessian], names, ["hessian"]),
+    )
+
+
+def connectivity_functions(
+    energy: CasadiEnergy,
+    options: CostOptions,
+    start: FloatArray,
+    goal: FloatArray,
+    placements: FloatArray,
+) -> ConnectivityFunctions:
+    """Return ``E``, ``Q_pair`` and ``J_seq`` of the chain start, N intermediate poses, goal.
+
+    Parameters
+    ----------
+    start, goal : (G,)
+        Energies of the fixed poses.
+    placements : (N, 4, 4)
+        The stable placement of each intermediate pose.
+
+    Returns
+    -------
+    ConnectivityFunctions
+        Each takes ``xi`` (3, N), the planar parameters in [m, m, rad] of the intermediate poses: ``E`` (G, N),
+        ``Q_pair`` (N+1, 1) of the neighbouring pairs, ``J_seq`` (1, 1). They hold no state, can be differentiated,
+        mapped, saved and turned into C.
+    """
+    num_regrasps = len(placements)
+    xi = ca.MX.sym("xi", 3, num_regrasps)
+    energies = [energy.planar_expression(xi[:, i], ca.MX(ca.DM(T))) for i, T in enumerate(placements)]
+    chain = [ca.MX(ca.DM(start)), *energies, ca.MX(ca.DM(goal))]
+    scores = [pair_score(a, b, options.alpha) for a, b in itertools.pairwise(chain)]
+    cost = cost_of_scores(scores, options.regularisation)
+    stacked = ca.horzcat(*energies) if energies else ca.MX(energy.count, 0)
+    return ConnectivityFunctions(
+        ca.Function("E", [xi], [stacked], ["xi"], ["E"]),
+        ca.Function("Q_pair", [xi], [ca.vertcat(*scores)], ["xi"], ["Q"]),
+        ca.Function("J_seq", [xi], [cost], ["xi"], ["J"]),
+    )
+
+
+def _symbols(energy: CasadiEnergy, num_regrasps: int) -> list[Any]:
+    return [
+        ca.MX.sym("xi", 3, num_regrasps),
+        ca.MX.sym("placements", 4, 4 * num_regrasps),
+        ca.MX.sym("ends", energy.count, 2),
+    ]
+
+
+class _Chain:
+    """Pair scores of a chain of energies and what the chain rule needs of them."""
+
+    def __init__(self, energies: list[Any], options: CostOptions) -> None:
+        pairs = list(itertools.pairwise(energies))
+        self.alpha = options.alpha
+        self.lambda_reg = options.regularisation
+        scores = [pair_score(a, b, options.alpha) for a, b in pairs]
+        self.cost = cost_of_scores(scores, self.lambda_reg)
+        self.weights = [softmin_weights(a, b, options.alpha) for a, b in pairs]
+        self.slopes = []  # c_i = dJ/dQ_i
+        for i, score in enumerate(scores):
+            slope = ca.MX(1)
+            for j in (i - 1, i + 1):
+                if 0 <= j < len(scores):
+                    slope = slope + 2 * self.lambda_reg * (score - scores[j])
+            self.slopes.append(slope)
+
+    def omega(self, i: int) -> Any:
+        """Return dJ/dE (G, 1) at pose i of the chain, start being pose 0."""
+        return self.slopes[i - 1] * self.weights[i - 1] + self.slopes[i] * self.weights[i]
+
+    def coupling(self, tangents: list[Any]) -> Any:
+        """Return the Hessian's part that couples poses, (3N, 3N), from dE/dxi (G, 3) of the N intermediate poses."""
+        count = len(tangents)
+        moves = []  # d(E_i + E_{i+1})/dxi over all variables, one (G, 3N) a pair
+        for i in range(count + 1):
+            blocks = [t if j in (i - 1, i) else ca.MX(t.shape[0], 3) for j, t in enumerate(tangents)]
+            moves.append(ca.horzcat(*blocks))
+        slopes = [ca.mtimes(move.T, w) for move, w in zip(moves, self.weights, strict=True)]  # dQ_i
+        total = ca.MX(3 * count, 3 * count)
+        for move, w, slope, c in zip(moves, self.weights, slopes, self.slopes, strict=True):
+            spread = ca.mtimes(ca.densify(move).T, ca.repmat(w, 1, 3 * count) * move) - slope @ slope.T
+            total = total - c / self.alpha * spread
+        for a, b in itertools.pairwise(slopes):
+            total = total + 2 * self.lambda_reg * (a - b) @ (a - b).T
+        return total
+
+
+def placement_parameter(placements: FloatArray) -> FloatArray:
+    """Return placements (N, 4, 4) in the layout (4, 4N) of the functions' ``placements`` input."""
+    return np.concatenate(list(placements), axis=1) if len(placements) else np.zeros((4, 0))

@@ -1,0 +1,74 @@
+"""Activation functions with their first two derivatives, in NumPy and in CasADi.
+
+SELU is the paper's choice. It is not C1, which costs a second-order solver its convergence, so SiLU is our default.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+Activation = Literal["silu", "selu", "tanh"]
+ACTIVATIONS: tuple[Activation, ...] = ("silu", "selu", "tanh")
+
+_SELU_SCALE = 1.0507009873554805
+_SELU_ALPHA = 1.6732632423543772
+
+
+class Derivatives(NamedTuple):
+    """Value, first and second derivative of an activation, elementwise."""
+
+    value: Any
+    first: Any
+    second: Any
+
+
+def activate(name: Activation, z: NDArray[Any]) -> NDArray[Any]:
+    """Return the activation of `z`, in its dtype; `z` is overwritten."""
+    if name == "tanh":
+        return np.tanh(z, out=z)
+    if name == "silu":  # z * sigmoid(z), written with tanh because that cannot overflow
+        half = z * z.dtype.type(0.5)
+        np.tanh(half, out=half)
+        half += 1
+        half *= z.dtype.type(0.5)
+        return np.multiply(z, half, out=z)
+    negative = np.expm1(np.minimum(z, 0)) * z.dtype.type(_SELU_SCALE * _SELU_ALPHA)
+    return np.where(z > 0, z * z.dtype.type(_SELU_SCALE), negative)
+
+
+def casadi_activation(name: Activation, z: Any) -> Derivatives:
+    """Return the activation of the CasADi expression `z` and its derivatives as CasADi expressions."""
+    if name == "tanh":
+        t = ca.tanh(z)
+        first = 1 - t * t
+        return Derivatives(t, first, -2 * t * first)
+    if name == "silu":
+        s = 1 / (1 + ca.exp(-z))
+        value = z * s
+        slope = s * (1 - s)
+        first = s + z * slope
+        return Derivatives(value, first, slope * (2 + z * (1 - 2 * s)))
+    scaled = _SELU_SCALE * _SELU_ALPHA * ca.exp(ca.fmin(z, 0))
+    positive = z > 0
+    return Derivatives(
+        ca.if_else(positive, _SELU_SCALE * z, scaled - _SELU_SCALE * _SELU_ALPHA),
+        ca.if_else(positive, _SELU_SCALE, scaled),
+        ca.if_else(positive, 0, scaled),
+    )
+
+
+def torch_activation(name: Activation) -> Callable[[Any], Any]:
+    """Return the activation as a function of torch tensors."""
+    import torch
+
+    table: dict[Activation, Callable[[Any], Any]] = {
+        "silu": torch.nn.functional.silu,
+        "selu": torch.nn.functional.selu,
+        "tanh": torch.tanh,
+    }
+    return table[name]

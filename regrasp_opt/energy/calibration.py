@@ -1,0 +1,80 @@
+"""How good an energy is on held-out labels, and the threshold `h` of Eq. 3 (appendix A of the paper)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from regrasp_opt.conventions import BoolArray, FloatArray
+from regrasp_opt.energy.model import EnergyModel, GraspEnergy
+from regrasp_opt.errors import ModelError
+
+_PAIRS = 500
+
+
+class BestThreshold(NamedTuple):
+    """The threshold with the highest F1, and that F1."""
+
+    threshold: float
+    f1: float
+
+
+def average_precision(energy: FloatArray, positive: BoolArray) -> float:
+    """Return the area under the precision-recall curve of ranking `positive` (M,) by low `energy` (M,)."""
+    hits = positive[np.argsort(energy, kind="stable")]
+    precision = np.cumsum(hits) / np.arange(1, len(hits) + 1)
+    return float(precision[hits].mean()) if hits.any() else 0.0
+
+
+def best_threshold(energy: FloatArray, positive: BoolArray) -> BestThreshold:
+    """Return the threshold on `energy` (M,) that classifies `positive` (M,) with the highest F1.
+
+    Raises
+    ------
+    ModelError
+        If nothing is positive.
+    """
+    order = np.argsort(energy, kind="stable")
+    hits = np.cumsum(positive[order])
+    if len(hits) == 0 or hits[-1] == 0:
+        raise ModelError(
+            "no held-out grasp is feasible, so the threshold cannot be calibrated; prepare with more samples"
+        )
+    f1 = 2 * hits / (np.arange(1, len(hits) + 1) + hits[-1])
+    best = int(f1.argmax())
+    upper = energy[order[min(best + 1, len(order) - 1)]]
+    return BestThreshold(float((energy[order[best]] + upper) / 2), float(f1[best]))
+
+
+def calibrate(
+    model: EnergyModel, energy: GraspEnergy, T: FloatArray, feasible: BoolArray, seed: int = 0
+) -> EnergyModel:
+    """Return `model` with `h` set and its held-out metrics recorded.
+
+    Parameters
+    ----------
+    energy : GraspEnergy
+        `model` on the grasps of the labels.
+    T, feasible
+        Held-out poses (B, 4, 4) and the feasibility (B, G) of every grasp.
+
+    Notes
+    -----
+    `h` maximises F1 of telling shared from other grasps over random pairs of the held-out poses (appendix A).
+    """
+    energies = energy(T)
+    rng = np.random.default_rng(seed)
+    a, b = (rng.integers(len(T), size=_PAIRS) for _ in range(2))
+    shared = best_threshold((energies[a] + energies[b]).ravel(), (feasible[a] & feasible[b]).ravel())
+    single = best_threshold(energies.ravel(), feasible.ravel())
+    metrics = {
+        "average_precision": average_precision(energies.ravel(), feasible.ravel()),
+        "f1": single.f1,
+        "threshold": single.threshold,
+        "shared_f1": shared.f1,
+        "feasible_share": float(feasible.mean()),
+        "poses": len(T),
+    }
+    return replace(model, threshold=shared.threshold, metadata={**model.metadata, "held_out": metrics})

@@ -1,0 +1,145 @@
+"""The energy ``E(T, g)``: a small MLP with its weights as NumPy arrays, evaluated without torch.
+
+Low energy means that grasp ``g`` is likely feasible at object pose ``T``. A bounded energy is
+``softplus(f) = -log p(feasible)`` of the network's output ``f``, so that summed energies are the negative log of a
+product of probabilities (Eqs. 1 and 2) and one very sure pose cannot make up for an infeasible one. The paper's
+preset uses ``f`` itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from regrasp_opt.conventions import FloatArray
+from regrasp_opt.energy.activations import Activation, activate
+from regrasp_opt.energy.features import FeatureSet
+from regrasp_opt.files import content_hash
+from regrasp_opt.grasps import GraspSet
+
+_CHUNK_ELEMENTS = 1 << 21
+"""Hidden units evaluated at once: bounds the memory of a batch to a few tens of MB."""
+
+
+@dataclass(frozen=True)
+class EnergyModel:
+    """A trained energy.
+
+    Attributes
+    ----------
+    weights, biases : tuple of arrays
+        Layer l maps with ``weights[l]`` (out, in) and ``biases[l]`` (out,); the last layer has one output.
+    activation, features, use_width, bounded
+        What the network is; see `regrasp_opt.energy.features` and the module docstring.
+    threshold : float
+        `h` of Eq. 3, calibrated on shared grasps (appendix A): those whose energies sum to at most `h`.
+    metadata : dict
+        Provenance and held-out metrics, JSON-serialisable.
+    """
+
+    weights: tuple[NDArray[np.float32], ...]
+    biases: tuple[NDArray[np.float32], ...]
+    activation: Activation
+    features: FeatureSet
+    use_width: bool
+    bounded: bool
+    threshold: float
+    metadata: dict[str, Any] = field(default_factory=dict, compare=False)
+
+    @property
+    def hidden(self) -> int:
+        """Width of the hidden layers."""
+        return int(self.weights[0].shape[0])
+
+    def fingerprint(self) -> str:
+        """Return a hash of everything that the energy's value depends on."""
+        return content_hash(*self.weights, *self.biases, self.activation, self.features, self.use_width, self.bounded)
+
+
+@dataclass(frozen=True)
+class FirstLayer:
+    """The first layer for one grasp set, affine in the pose: ``z = constant + sum_i (pose[i] + tcp[i] @ g) @ T[i]``.
+
+    Attributes
+    ----------
+    pose, tcp : (3, H, 4)
+        Weights of the three rows of the object pose and of the tool pose (zeros for the paper's features).
+    constant : (H, G)
+        What the grasp alone contributes, bias included.
+    """
+
+    pose: FloatArray
+    tcp: FloatArray
+    constant: FloatArray
+
+
+def first_layer(model: EnergyModel, grasps: GraspSet) -> FirstLayer:
+    """Split the first layer of `model` for `grasps` into its pose-dependent and constant parts, in float64."""
+    W = model.weights[0].astype(np.float64)
+    hidden = W.shape[0]
+    pose = W[:, :12].reshape(hidden, 3, 4).transpose(1, 0, 2)
+    has_tcp = model.features == "tcp"
+    tcp = W[:, 24:36].reshape(hidden, 3, 4).transpose(1, 0, 2) if has_tcp else np.zeros_like(pose)
+    constant = W[:, 12:24] @ grasps.T_object_tcp[:, :3].reshape(-1, 12).T + model.biases[0].astype(np.float64)[:, None]
+    if model.use_width:
+        constant = constant + W[:, -1:] * grasps.width
+    return FirstLayer(pose, tcp, constant)
+
+
+class GraspEnergy:
+    """An `EnergyModel` bound to the G grasps of one grasp set; what plans are made with.
+
+    Parameters
+    ----------
+    model : EnergyModel
+    grasps : GraspSet
+        The candidate grasps over which connectivity is marginalised; they need not be those of the training.
+    """
+
+    def __init__(self, model: EnergyModel, grasps: GraspSet) -> None:
+        self.model = model
+        self.grasps = grasps
+
+    @cached_property
+    def first_layer(self) -> FirstLayer:
+        """The first layer for this grasp set."""
+        return first_layer(self.model, self.grasps)
+
+    def __len__(self) -> int:
+        return len(self.grasps)
+
+    def fingerprint(self) -> str:
+        """Return a hash of the model and the grasps."""
+        return content_hash(self.model.fingerprint(), self.grasps.fingerprint())
+
+    def __call__(self, T: FloatArray, dtype: DTypeLike = np.float64) -> NDArray[Any]:
+        """Return the energies (..., G) of all grasps at object poses `T` (..., 4, 4) T_world_object.
+
+        ``float32`` is enough to rank poses and about twice as fast; parity with CasADi is stated for ``float64``.
+        """
+        T = np.asarray(T, dtype=np.float64)
+        flat = T.reshape(-1, 4, 4)
+        chunk = max(1, _CHUNK_ELEMENTS // max(1, len(self) * self.model.hidden))
+        blocks = [self._evaluate(flat[i : i + chunk], np.dtype(dtype)) for i in range(0, len(flat), chunk)]
+        out = np.concatenate(blocks) if blocks else np.zeros((0, len(self)), dtype=dtype)
+        return out.reshape(*T.shape[:-2], len(self))
+
+    def _evaluate(self, T: FloatArray, dtype: np.dtype[Any]) -> NDArray[Any]:
+        first = self.first_layer
+        rows = T[:, :3].astype(dtype)  # (B, 3, 4)
+        z = np.einsum("bij,ihj->bh", rows, first.pose.astype(dtype))[:, None, :] + first.constant.T.astype(dtype)
+        if self.model.features == "tcp":
+            grasps = self.grasps.T_object_tcp.astype(dtype).transpose(1, 0, 2).reshape(4, -1)
+            tcp = (rows.reshape(-1, 4) @ grasps).reshape(len(T), 3, len(self), 4)
+            tcp = tcp.transpose(0, 2, 1, 3).reshape(len(T), len(self), 12)
+            weights = first.tcp.transpose(1, 0, 2).reshape(-1, 12).T.astype(dtype)
+            z = z + (tcp.reshape(-1, 12) @ weights).reshape(z.shape)
+        z = z.reshape(-1, z.shape[-1])  # one large product is far cheaper than many small ones
+        for W, b in zip(self.model.weights[1:], self.model.biases[1:], strict=True):
+            z = activate(self.model.activation, z) @ W.T.astype(dtype) + b.astype(dtype)
+        f = z.reshape(len(T), len(self))
+        return np.logaddexp(f, 0) if self.model.bounded else f

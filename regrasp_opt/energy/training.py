@@ -1,0 +1,221 @@
+"""Training of the energy in torch (appendix B of the paper).
+
+The default loss is the negative log-likelihood of the labels, whose logit is the network's output: for a bounded
+energy that *is* ``E`` for feasible pairs and ``-log(1 - exp(-E))`` for the others. The paper's loss adds a likelihood
+normalised over the batch, a contrastive term and a penalty on large energies.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from regrasp_opt.conventions import BoolArray, FloatArray
+from regrasp_opt.energy.activations import ACTIVATIONS, Activation, torch_activation
+from regrasp_opt.energy.features import FEATURE_SETS, FeatureSet
+from regrasp_opt.energy.model import EnergyModel
+from regrasp_opt.errors import ModelError, OptionError
+
+if TYPE_CHECKING:
+    import torch
+
+Loss = Literal["likelihood", "paper"]
+
+LABEL_NOISE = 1e-5
+"""Probability that a label is taken to be wrong: keeps energies below about 11.5 and gradients out of the denormals."""
+
+
+@dataclass(frozen=True)
+class TrainingOptions:
+    """What is trained, and how; the defaults are ours, `PRESETS["paper"]` is the paper's.
+
+    Attributes
+    ----------
+    hidden : int
+        Width of the two hidden layers.
+    activation, features, bounded
+        See `regrasp_opt.energy`.
+    use_width : bool
+        Whether the jaw width is an input; the paper leaves it out to compare end-effectors.
+    loss : {"likelihood", "paper"}
+    alpha_reg : float
+        Weight of the paper's penalty on large energies.
+    epochs, batch_size, learning_rate, weight_decay
+        AdamW with a one-cycle schedule.
+    seed : int
+    device : str
+        torch device; ``"auto"`` takes a GPU where there is one.
+    """
+
+    hidden: int = 64
+    activation: Activation = "silu"
+    features: FeatureSet = "tcp"
+    use_width: bool = True
+    bounded: bool = True
+    loss: Loss = "likelihood"
+    alpha_reg: float = 1e-3
+    epochs: int = 30
+    batch_size: int = 1024
+    learning_rate: float = 6e-3
+    weight_decay: float = 1e-4
+    seed: int = 0
+    device: str = "auto"
+
+    def __post_init__(self) -> None:
+        if self.activation not in ACTIVATIONS:
+            raise OptionError(f"activation '{self.activation}' is unknown; use one of {', '.join(ACTIVATIONS)}")
+        if self.features not in FEATURE_SETS:
+            raise OptionError(f"features '{self.features}' are unknown; use one of {', '.join(FEATURE_SETS)}")
+        if min(self.hidden, self.epochs, self.batch_size) < 1 or not self.learning_rate > 0:
+            raise OptionError("training needs hidden, epochs and batch_size of at least 1 and a learning_rate above 0")
+
+
+PRESETS: dict[str, TrainingOptions] = {
+    "default": TrainingOptions(),
+    "paper": TrainingOptions(
+        hidden=128,
+        activation="selu",
+        features="paper",
+        bounded=False,
+        loss="paper",
+        epochs=20,
+        learning_rate=2e-3,
+    ),
+}
+
+
+def train(
+    features: FloatArray,
+    feasible: BoolArray,
+    options: TrainingOptions,
+    progress: Callable[[int, int], None] | None = None,
+) -> EnergyModel:
+    """Train an energy on `features` (M, F) and labels `feasible` (M,); its threshold is not calibrated yet.
+
+    Parameters
+    ----------
+    progress : callable, optional
+        Called with (epochs done, epochs in all).
+
+    Raises
+    ------
+    ModelError
+        If the labels hold one class only.
+    """
+    import torch
+
+    if feasible.all() or not feasible.any():
+        raise ModelError("the training labels hold one class only; sample more poses or widen the workspace")
+    wanted = ("cuda" if torch.cuda.is_available() else "cpu") if options.device == "auto" else options.device
+    device = torch.device(wanted)
+    generator = torch.Generator().manual_seed(options.seed)
+    mean, std = features.mean(axis=0), features.std(axis=0)
+    std = np.where(std > 1e-6, std, 1.0)
+    x = torch.as_tensor((features - mean) / std, dtype=torch.float32).to(device)
+    y = torch.as_tensor(feasible, dtype=torch.float32).to(device)
+    layers = _layers(features.shape[1], options, generator, device)
+    parameters = [p for layer in layers for p in layer]
+    optimiser = torch.optim.AdamW(parameters, lr=options.learning_rate, weight_decay=options.weight_decay)
+    batches = -(-len(y) // options.batch_size)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimiser, options.learning_rate, total_steps=options.epochs * batches
+    )
+    with _one_steady_thread():
+        for epoch in range(options.epochs):
+            order = torch.randperm(len(y), generator=generator).to(device)
+            for batch in order.split(options.batch_size):
+                optimiser.zero_grad(set_to_none=True)
+                _loss(_forward(layers, options.activation, x[batch]), y[batch], options).backward()
+                optimiser.step()
+                schedule.step()
+            if progress is not None:
+                progress(epoch + 1, options.epochs)
+    return _export(layers, mean, std, options)
+
+
+@contextmanager
+def _one_steady_thread() -> Iterator[None]:
+    """Train on one thread, without denormals.
+
+    Batches are too small to gain from a second thread, and on a busy machine threads that wait for each other cost a
+    factor of ten. Saturated units leave denormal gradients, which cost as much.
+    """
+    import torch
+
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    torch.set_flush_denormal(True)
+    try:
+        yield
+    finally:
+        torch.set_flush_denormal(False)
+        torch.set_num_threads(threads)
+
+
+def _layers(
+    inputs: int, options: TrainingOptions, generator: torch.Generator, device: torch.device
+) -> list[tuple[torch.Tensor, torch.Tensor]]:
+    import torch
+
+    sizes = [inputs, options.hidden, options.hidden, 1]
+    layers = []
+    for fan_in, fan_out in itertools.pairwise(sizes):
+        W = torch.randn(fan_out, fan_in, generator=generator) * fan_in**-0.5
+        layers.append((W.to(device).requires_grad_(), torch.zeros(fan_out, device=device).requires_grad_()))
+    return layers
+
+
+def _forward(layers: list[tuple[torch.Tensor, torch.Tensor]], activation: Activation, x: torch.Tensor) -> Any:
+    import torch
+
+    function = torch_activation(activation)
+    for W, b in layers[:-1]:
+        x = function(torch.nn.functional.linear(x, W, b))
+    W, b = layers[-1]
+    return torch.nn.functional.linear(x, W, b)[:, 0]
+
+
+def _loss(f: torch.Tensor, y: torch.Tensor, options: TrainingOptions) -> torch.Tensor:
+    import torch
+
+    if options.loss == "likelihood":  # f is the logit of being infeasible
+        soft = y.clamp(LABEL_NOISE, 1 - LABEL_NOISE)
+        return torch.nn.functional.binary_cross_entropy_with_logits(-f, soft)
+    good, bad = f[y > 0.5], f[y < 0.5]
+    penalty = options.alpha_reg * (f * f).mean()
+    if len(good) == 0 or len(bad) == 0:
+        return penalty
+    likelihood = good.mean() + torch.logsumexp(-f, 0) - np.log(len(f))
+    contrast = torch.nn.functional.softplus(good[:, None] - bad[None, :]).mean()
+    return likelihood + contrast + penalty
+
+
+def _export(
+    layers: list[tuple[torch.Tensor, torch.Tensor]],
+    mean: FloatArray,
+    std: FloatArray,
+    options: TrainingOptions,
+) -> EnergyModel:
+    """Return the trained weights with the standardisation of the inputs folded into the first layer."""
+    arrays = [
+        (W.detach().cpu().numpy().astype(np.float64), b.detach().cpu().numpy().astype(np.float64)) for W, b in layers
+    ]
+    W, b = arrays[0]
+    arrays[0] = (W / std, b - (W / std) @ mean)
+    kept = asdict(options)
+    kept.pop("device")
+    return EnergyModel(
+        weights=tuple(W.astype(np.float32) for W, _ in arrays),
+        biases=tuple(b.astype(np.float32) for _, b in arrays),
+        activation=options.activation,
+        features=options.features,
+        use_width=options.use_width,
+        bounded=options.bounded,
+        threshold=float("nan"),
+        metadata={"training": kept},
+    )

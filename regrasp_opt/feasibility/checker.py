@@ -1,0 +1,118 @@
+"""The exact check of (pose, grasp) pairs: inverse kinematics over all branches, limits, and every collision.
+
+A pair is feasible if some arm configuration puts the TCP on the grasp, within the joint limits, with every pair of
+bodies at least its clearance apart. Tests run in the order of what rejects most for least: gripper against table and
+reach (vectorised), inverse kinematics, then Coal on each branch until one is free.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
+from regrasp_opt.feasibility.scene import CollisionScene
+from regrasp_opt.grasps import GraspSet
+from regrasp_opt.objects import ObjectModel
+from regrasp_opt.shapes import bounding_points
+from regrasp_opt.workcell import Workcell
+
+
+class Branches(NamedTuple):
+    """Arm configurations (M, dof) and the number of the (pose, grasp) pair that each belongs to (M,)."""
+
+    q: FloatArray
+    pair: IntArray
+
+
+class FeasibilityChecker:
+    """Exact feasibility of the grasps of one set on one object in one workcell.
+
+    Parameters
+    ----------
+    model : ObjectModel
+    workcell : Workcell
+    grasps : GraspSet
+        G grasps; their numbers are the grasp ids of plans.
+    """
+
+    def __init__(self, model: ObjectModel, workcell: Workcell, grasps: GraspSet) -> None:
+        self.workcell = workcell
+        self.grasps = grasps
+        self.scene = CollisionScene(model, workcell, grasps)
+        effector = workcell.end_effector
+        self._T_object_flange = grasps.T_object_tcp @ effector.T_tcp_flange
+        self._corners = np.stack(
+            [
+                np.concatenate(
+                    [bounding_points(s) for s in (*effector.body, *effector.finger_boxes(w, effector.pre_opening))]
+                )
+                for w in grasps.width.tolist()
+            ]
+        )  # (G, P, 3) flange frame
+
+    def feasible(self, T: FloatArray, grasp_ids: IntArray | None = None) -> BoolArray:
+        """Return which grasps are feasible at object pose `T` (4, 4) T_world_object.
+
+        Parameters
+        ----------
+        T : (4, 4)
+        grasp_ids : (K,), optional
+            Check these only; all G by default.
+
+        Returns
+        -------
+        (G,) or (K,) bool
+        """
+        ids = np.arange(len(self.grasps)) if grasp_ids is None else np.asarray(grasp_ids, dtype=np.int64)
+        return self.feasible_pairs(np.broadcast_to(T, (len(ids), 4, 4)), ids)
+
+    def feasible_pairs(self, T: FloatArray, grasp_ids: IntArray) -> BoolArray:
+        """Return the feasibility (M,) of M pairs of object poses `T` (M, 4, 4) and `grasp_ids` (M,)."""
+        result = np.zeros(len(grasp_ids), dtype=bool)
+        branches = self.branches(T, grasp_ids)
+        pair_before = -1
+        for q, pair in zip(branches.q, branches.pair.tolist(), strict=True):
+            if result[pair]:
+                continue
+            if pair != pair_before:
+                self._arrange(T[pair], int(grasp_ids[pair]))
+                pair_before = pair
+            result[pair] = not self.scene.collides(q)
+        return result
+
+    def configurations(self, T: FloatArray, grasp_id: int) -> FloatArray:
+        """Return every feasible arm configuration (K, dof) [rad] for one grasp at object pose `T` (4, 4)."""
+        branches = self.branches(T[None], np.array([grasp_id]))
+        self._arrange(T, grasp_id)
+        free = [q for q in branches.q if not self.scene.collides(q)]
+        return np.array(free).reshape(len(free), self.workcell.robot.dof)
+
+    def clearance(self, T: FloatArray, grasp_id: int, q: FloatArray) -> float:
+        """Return the least distance between any two bodies that must not touch [m]; negative on overlap."""
+        self._arrange(T, grasp_id)
+        return self.scene.clearance(q)
+
+    def _arrange(self, T: FloatArray, grasp_id: int) -> None:
+        self.scene.place_object(T)
+        self.scene.set_grasp(grasp_id)
+
+    def branches(self, T: FloatArray, grasp_ids: IntArray) -> Branches:
+        """Return the arm's configurations within limits for M pairs, less those that cannot be free of collision."""
+        T_world_flange = T @ self._T_object_flange[grasp_ids]
+        kept = np.flatnonzero(self._in_reach(T_world_flange) & ~self._gripper_in_table(T_world_flange, grasp_ids))
+        solutions = self.workcell.robot.solve_ik(self.workcell.T_base_world @ T_world_flange[kept])
+        return Branches(solutions.q, kept[solutions.pose_index])
+
+    def _in_reach(self, T_world_flange: FloatArray) -> BoolArray:
+        base = self.workcell.T_world_base[:3, 3]
+        return np.linalg.norm(T_world_flange[:, :3, 3] - base, axis=1) <= self.workcell.robot.max_reach
+
+    def _gripper_in_table(self, T_world_flange: FloatArray, grasp_ids: IntArray) -> BoolArray:
+        """Return where a corner of the gripper lies in the table, or nearer to its top than the clearance."""
+        table, margin = self.workcell.table.shape, self.workcell.clearance.gripper
+        corners = self._corners[grasp_ids] @ np.swapaxes(T_world_flange[:, :3, :3], 1, 2)
+        corners += T_world_flange[:, None, :3, 3]
+        half = table.size / 2 + np.array([0.0, 0.0, margin])
+        return (np.abs(corners - table.pose[:3, 3]) < half).all(axis=2).any(axis=1)

@@ -1,0 +1,208 @@
+"""Labelled (pose, grasp) pairs: what the energy is trained on and calibrated with.
+
+Poses are random stable placements at uniform planar parameters in the workspace. Training pairs are drawn in seeded
+blocks until enough are feasible; every block that is done is on disk, so an interrupted run goes on where it stopped.
+Validation poses are labelled for every grasp, because calibration needs to know which grasps two poses share.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import joblib
+import numpy as np
+
+from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, planar_transform
+from regrasp_opt.errors import GraspError
+from regrasp_opt.feasibility.checker import FeasibilityChecker
+from regrasp_opt.files import atomic_path, content_hash
+from regrasp_opt.grasps import GraspSet
+from regrasp_opt.objects import ObjectModel
+from regrasp_opt.workcell import Workcell
+
+POSES_PER_BLOCK = 200
+GRASPS_PER_POSE = 25
+_HOPELESS_BLOCKS = 20
+"""Blocks without one feasible pair after which sampling gives up."""
+
+
+@dataclass(frozen=True)
+class LabelledPairs:
+    """M labelled pairs.
+
+    Attributes
+    ----------
+    T : (M, 4, 4)
+        Object poses T_world_object.
+    grasp_ids : (M,)
+    feasible : (M,) bool
+    """
+
+    T: FloatArray
+    grasp_ids: IntArray
+    feasible: BoolArray
+
+    def __len__(self) -> int:
+        return len(self.feasible)
+
+
+@dataclass(frozen=True)
+class LabelledPoses:
+    """Poses `T` (B, 4, 4) with the feasibility (B, G) of every grasp."""
+
+    T: FloatArray
+    feasible: BoolArray
+
+
+@dataclass(frozen=True)
+class LabellingTask:
+    """Everything that labels depend on; small enough to be sent to worker processes."""
+
+    model: ObjectModel
+    workcell: Workcell
+    grasps: GraspSet
+    placements: FloatArray
+    seed: int
+
+    def fingerprint(self) -> str:
+        """Return the hash under which labels are stored."""
+        parts = [
+            self.model.fingerprint(),
+            self.workcell.fingerprint(),
+            self.grasps.fingerprint(),
+            self.placements,
+        ]
+        return content_hash("labels-1", *parts, self.seed, POSES_PER_BLOCK, GRASPS_PER_POSE)
+
+
+def random_poses(
+    placements: FloatArray, bounds: FloatArray, count: int, rng: np.random.Generator
+) -> tuple[IntArray, FloatArray]:
+    """Return placement numbers (count,) and planar parameters (count, 3), uniform over `bounds` (2, 2) and a turn."""
+    low, high = bounds
+    xi = np.column_stack([rng.uniform(low, high, (count, 2)), rng.uniform(0, 2 * np.pi, count)])
+    return rng.integers(len(placements), size=count), xi
+
+
+def label_pairs(
+    task: LabellingTask,
+    feasible_wanted: int,
+    *,
+    folder: Path,
+    jobs: int = -1,
+    progress: Callable[[int, int], None] | None = None,
+) -> LabelledPairs:
+    """Label pairs, block by block, until `feasible_wanted` of them are feasible.
+
+    Parameters
+    ----------
+    folder : Path
+        Where blocks are kept. Blocks of the same task found there are used; others and broken ones are not.
+    jobs : int
+        Worker processes, as joblib counts them.
+    progress : callable, optional
+        Called with (feasible pairs so far, feasible pairs wanted).
+
+    Raises
+    ------
+    GraspError
+        If no grasp is feasible anywhere in the workspace.
+    """
+    name = task.fingerprint()[:16]
+    blocks: list[LabelledPairs] = []
+    found = 0
+    with _pool(jobs) as (parallel, workers):
+        while found < feasible_wanted:
+            missing = (feasible_wanted - found) / max(found / max(len(blocks), 1), 1.0) if blocks else workers
+            numbers = range(len(blocks), len(blocks) + int(np.clip(missing + 1, 1, 16 * workers)))
+            for block in parallel(joblib.delayed(_block)(task, b, folder / f"{name}-{b:05d}.npz") for b in numbers):
+                blocks.append(block)
+                found += int(block.feasible.sum())
+                if progress is not None:
+                    progress(min(found, feasible_wanted), feasible_wanted)
+            if found == 0 and len(blocks) >= _HOPELESS_BLOCKS:
+                raise GraspError(
+                    f"no grasp of '{task.workcell.end_effector.name}' on '{task.model.name}' is feasible anywhere in "
+                    "the workspace; move the workspace nearer to the robot or use another end-effector"
+                )
+    return LabelledPairs(
+        np.concatenate([b.T for b in blocks]),
+        np.concatenate([b.grasp_ids for b in blocks]),
+        np.concatenate([b.feasible for b in blocks]),
+    )
+
+
+def label_poses(task: LabellingTask, count: int, *, jobs: int = -1) -> LabelledPoses:
+    """Label every grasp at `count` random poses, drawn apart from those of `label_pairs`."""
+    rng = np.random.default_rng([task.seed, 1])
+    numbers, xi = random_poses(task.placements, task.workcell.bounds.array, count, rng)
+    T = planar_transform(xi) @ task.placements[numbers]
+    with _pool(jobs) as (parallel, workers):
+        parts = np.array_split(T, 4 * workers)
+        feasible = list(parallel(joblib.delayed(_all_grasps)(task, part) for part in parts))
+    return LabelledPoses(T, np.concatenate(feasible))
+
+
+@contextlib.contextmanager
+def _pool(jobs: int):  # type: ignore[no-untyped-def]
+    with joblib.Parallel(n_jobs=jobs, return_as="generator") as parallel:
+        yield parallel, joblib.effective_n_jobs(jobs)
+
+
+_checkers: dict[str, FeasibilityChecker] = {}
+
+
+def _checker(task: LabellingTask) -> FeasibilityChecker:
+    """Return the checker of `task`, built once a process."""
+    key = task.fingerprint()
+    if key not in _checkers:
+        _checkers.clear()
+        _checkers[key] = FeasibilityChecker(task.model, task.workcell, task.grasps)
+    return _checkers[key]
+
+
+def _all_grasps(task: LabellingTask, T: FloatArray) -> BoolArray:
+    checker = _checker(task)
+    rows = [checker.feasible(pose) for pose in T]
+    return np.array(rows, dtype=bool).reshape(len(T), len(task.grasps))
+
+
+def _block(task: LabellingTask, number: int, path: Path) -> LabelledPairs:
+    stored = _read_block(path)
+    if stored is not None:
+        return stored
+    rng = np.random.default_rng([task.seed, 0, number])
+    placements, xi = random_poses(task.placements, task.workcell.bounds.array, POSES_PER_BLOCK, rng)
+    T = planar_transform(xi) @ task.placements[placements]
+    each = min(GRASPS_PER_POSE, len(task.grasps))
+    ids = np.concatenate([rng.choice(len(task.grasps), each, replace=False) for _ in range(POSES_PER_BLOCK)])
+    T = np.repeat(T, each, axis=0)
+    block = LabelledPairs(T, ids, _checker(task).feasible_pairs(T, ids))
+    with atomic_path(path) as temporary:
+        np.savez(temporary, T=block.T, grasp_ids=block.grasp_ids, feasible=block.feasible)
+    return block
+
+
+def _read_block(path: Path) -> LabelledPairs | None:
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            block = LabelledPairs(stored["T"], stored["grasp_ids"], stored["feasible"])
+    except (OSError, ValueError, KeyError, EOFError):
+        return None
+    return block if len(block) == len(block.T) == len(block.grasp_ids) else None
+
+
+@contextlib.contextmanager
+def temporary_folder(folder: Path | None):  # type: ignore[no-untyped-def]
+    """Yield `folder`, or a temporary one that is removed afterwards."""
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        yield folder
+        return
+    with tempfile.TemporaryDirectory(prefix=f"regrasp-opt-{os.getpid()}-") as name:
+        yield Path(name)

@@ -1,0 +1,124 @@
+"""The collision scene of one object in one workcell: robot, gripper, object, table, obstacles in one model.
+
+The gripper's fingers are boxes swept from the grasp width to the width at which the gripper approaches, so one test
+covers every opening between the two. What touches by design is not tested: fingers and cup against the object (the
+grasp sampler has proved them free but for the contact), the object against the table it stands on, the robot's base
+against what it is mounted on.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from regrasp_opt.conventions import FloatArray
+from regrasp_opt.feasibility.geometry import mesh_geometry, shape_geometry
+from regrasp_opt.grasps import GraspSet
+from regrasp_opt.objects import ObjectModel
+from regrasp_opt.workcell import Workcell
+
+_WORLD = 0
+
+
+class CollisionScene:
+    """A Pinocchio geometry model with everything that can collide, and the two things that move by hand.
+
+    Joint configurations are (dof,) in the order of the robot; object poses are (4, 4) T_world_object.
+    """
+
+    def __init__(self, model: ObjectModel, workcell: Workcell, grasps: GraspSet) -> None:
+        robot, effector = workcell.robot, workcell.end_effector
+        self.model = robot.model
+        self.geometry = robot.collision.copy()
+        self._T_base_world = pin.SE3(workcell.T_base_world)
+        arm = range(self.geometry.ngeoms)
+        self.base_bodies = [i for i in arm if self._joint(i) == _WORLD]
+        moving = [i for i in arm if self._joint(i) != _WORLD]
+
+        tip = robot.model.frames[robot.model.getFrameId(robot.tip_frame)]
+        self._tip_joint, self._T_joint_tip = tip.parentJoint, tip.placement
+        body = [self._attach(shape_geometry(s), f"gripper/{s.name}", s.pose) for s in effector.body]
+        swept = effector.pre_opening
+        boxes = [effector.finger_boxes(float(w), swept) for w in grasps.width]
+        shapes = boxes[0] if boxes else ()
+        self.fingers = [self._attach(shape_geometry(s), f"gripper/{s.name}", s.pose) for s in shapes]
+        self._finger_poses = [[self._T_joint_tip * pin.SE3(box.pose) for box in per_grasp] for per_grasp in boxes]
+
+        self.object = self._fix(mesh_geometry(model.vertices, model.faces), "object", np.eye(4))
+        self.table = self._fix(shape_geometry(workcell.table.shape), "table", workcell.table.shape.pose)
+        self.obstacles = [self._fix(shape_geometry(s), f"obstacle/{s.name}", s.pose) for s in workcell.obstacles]
+
+        gripper = [*body, *self.fingers]
+        clearance = workcell.clearance
+        pairs: list[tuple[int, int, float]] = []
+        pairs += [(i, self.table, clearance.gripper) for i in gripper]
+        pairs += [(i, self.table, clearance.arm) for i in reversed(moving)]
+        pairs += [(i, self.object, clearance.arm) for i in reversed(moving)]
+        pairs += [(i, j, clearance.gripper) for i in gripper for j in self.obstacles]
+        pairs += [(i, j, clearance.arm) for i in reversed(moving) for j in self.obstacles]
+        others = [j for j in arm if self._joint(j) != self._tip_joint]
+        pairs += [(i, j, clearance.self_collision) for i in gripper for j in others]
+        pairs += [(i, j, clearance.self_collision) for i, j in robot.self_collision_pairs()]
+        for i, j, _ in pairs:
+            self.geometry.addCollisionPair(pin.CollisionPair(i, j))
+        self.margins = np.array([margin for _, _, margin in pairs])
+        self.data, self.geometry_data = self.model.createData(), self.geometry.createData()
+        for k, margin in enumerate(self.margins):
+            self.geometry_data.collisionRequests[k].security_margin = float(margin)
+        mount = {i for i in moving if self._joint(i) == int(self.model.parents[self._tip_joint])}
+        measured = [(i, j, k) for k, (i, j, _) in enumerate(pairs) if not (i in gripper and j in mount)]
+        self._measured = np.array(measured)
+        self._centers, self._radii = self._bounding_spheres()
+
+    def _joint(self, index: int) -> int:
+        return int(self.geometry.geometryObjects[index].parentJoint)
+
+    def _bounding_spheres(self) -> tuple[list[FloatArray], FloatArray]:
+        """Return a sphere around each body, in its own frame: centres and radii [m]."""
+        for item in self.geometry.geometryObjects:
+            item.geometry.computeLocalAABB()
+        shapes = [item.geometry for item in self.geometry.geometryObjects]
+        return [np.array(s.aabb_center) for s in shapes], np.array([s.aabb_radius for s in shapes])
+
+    def _attach(self, geometry: Any, name: str, T_flange_shape: FloatArray) -> int:
+        placement = self._T_joint_tip * pin.SE3(np.asarray(T_flange_shape, dtype=np.float64))
+        return int(self.geometry.addGeometryObject(pin.GeometryObject(name, self._tip_joint, placement, geometry)))
+
+    def _fix(self, geometry: Any, name: str, T_world_shape: FloatArray) -> int:
+        placement = self._T_base_world * pin.SE3(np.asarray(T_world_shape, dtype=np.float64))
+        return int(self.geometry.addGeometryObject(pin.GeometryObject(name, _WORLD, placement, geometry)))
+
+    def place_object(self, T: FloatArray) -> None:
+        """Put the object at `T` T_world_object."""
+        self.geometry.geometryObjects[self.object].placement = self._T_base_world * pin.SE3(T)
+
+    def set_grasp(self, grasp_id: int) -> None:
+        """Open the fingers as grasp `grasp_id` needs them."""
+        for index, pose in zip(self.fingers, self._finger_poses[grasp_id], strict=True):
+            self.geometry.geometryObjects[index].placement = pose
+
+    def collides(self, q: FloatArray) -> bool:
+        """Return whether any pair is nearer than its clearance at configuration `q`."""
+        return bool(pin.computeCollisions(self.model, self.data, self.geometry, self.geometry_data, q, True))
+
+    def clearance(self, q: FloatArray) -> float:
+        """Return the least distance over all pairs at `q` [m]; negative where bodies overlap.
+
+        The gripper against the link that it turns on is left out: that distance hardly changes.
+        """
+        pin.forwardKinematics(self.model, self.data, q)
+        pin.updateGeometryPlacements(self.model, self.data, self.geometry, self.geometry_data)
+        poses = self.geometry_data.oMg
+        centers = np.array([poses[i].act(c) for i, c in enumerate(self._centers)])
+        first, second = self._measured[:, 0], self._measured[:, 1]
+        gaps = np.linalg.norm(centers[first] - centers[second], axis=1) - self._radii[first] - self._radii[second]
+        least = np.inf
+        for k in np.argsort(gaps):
+            if gaps[k] >= least:  # spheres around the bodies are farther apart than the nearest pair so far
+                break
+            index = int(self._measured[k, 2])
+            distance = pin.computeDistance(self.geometry, self.geometry_data, index).min_distance
+            least = min(least, distance)
+        return float(least)

@@ -1,0 +1,22 @@
+"""Refiners: what turns a batch of candidate pose sequences into a cheaper one.
+
+`NlpRefiner` (Ipopt and other CasADi plugins), `LangevinRefiner` (Eq. 7) and `LatticeRefiner` share the `Refiner`
+protocol: a batch in, a batch out. This layer knows poses, energies and costs; it never sees a robot or a mesh.
+"""
+
+from regrasp_opt.solvers.base import Candidates, Refinement, Refiner, random_starts
+from regrasp_opt.solvers.langevin import LangevinRefiner
+from regrasp_opt.solvers.lattice import LatticeRefiner, PoseLattice, lattice_starts
+from regrasp_opt.solvers.nlp import NlpRefiner
+
+__all__ = [
+    "Candidates",
+    "LangevinRefiner",
+    "LatticeRefiner",
+    "NlpRefiner",
+    "PoseLattice",
+    "Refinement",
+    "Refiner",
+    "lattice_starts",
+    "random_starts",
+]

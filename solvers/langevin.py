@@ -1,0 +1,172 @@
+"""Langevin dynamics on `J_seq` (Eq. 7, Alg. 1 step 2), batched in torch.
+
+The noise and the step act on planar parameters scaled to the workspace, so that one unit is half its width, or pi.
+With `anneal` the temperature falls to zero along the iterations; each chain returns the best point that it visited.
+torch is imported when a batch is refined, not before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from regrasp_opt.connectivity import SequenceObjective, sequence_cost
+from regrasp_opt.energy.activations import torch_activation
+from regrasp_opt.energy.features import FeatureSet
+from regrasp_opt.errors import OptionError
+from regrasp_opt.solvers.base import Candidates, Refinement, wrap_yaw
+
+if TYPE_CHECKING:
+    import torch
+
+_CHUNK_ELEMENTS = 1 << 25
+"""Hidden units a chunk of chains may hold at once; with gradients that is about 1 GB."""
+
+
+@dataclass(frozen=True)
+class LangevinRefiner:
+    """Langevin dynamics with the paper's constants by default.
+
+    Attributes
+    ----------
+    iterations : int
+        ``K_opt`` (paper: 20).
+    eta : float
+        Step size (paper: 0.3).
+    tau : float
+        Temperature (paper: 0.1).
+    anneal : bool
+        Let the temperature fall linearly to zero; False is the paper's constant temperature.
+    keep_best : bool
+        Return the best point a chain visited; False returns the last one, as in the paper.
+    device : str
+        torch device; ``"auto"`` takes a GPU where there is one.
+    """
+
+    iterations: int = 20
+    eta: float = 0.3
+    tau: float = 0.1
+    anneal: bool = False
+    keep_best: bool = True
+    device: str = "auto"
+
+    def __post_init__(self) -> None:
+        if self.iterations < 0 or not self.eta > 0 or self.tau < 0:
+            raise OptionError("Langevin needs iterations >= 0, eta > 0 and tau >= 0")
+
+    @property
+    def name(self) -> str:
+        """Short name, for reports."""
+        return "langevin"
+
+    def refine(self, objective: SequenceObjective, starts: Candidates, rng: np.random.Generator) -> Refinement:
+        """Return the refined batch; the stats hold the mean cost at every iteration."""
+        import torch
+
+        name = ("cuda" if torch.cuda.is_available() else "cpu") if self.device == "auto" else self.device
+        landscape = _Landscape(objective, torch.device(name))
+        width = len(objective.energy) * objective.energy.model.hidden * max(1, starts.xi.shape[1])
+        chunk = max(1, _CHUNK_ELEMENTS // width)
+        noise = torch.Generator().manual_seed(int(rng.integers(2**63 - 1)))
+        parts, traces = [], []
+        for first in range(0, len(starts), chunk):
+            xi, trace = self._run(landscape, starts.take(slice(first, first + chunk)), noise)
+            parts.append(xi)
+            traces.append(trace)
+        xi = wrap_yaw(np.concatenate(parts)) if parts else np.array(starts.xi)
+        xi[..., :2] = np.clip(xi[..., :2], *objective.bounds)  # single precision may leave them by rounding
+        cost = objective.cost(starts.placements, xi)
+        if self.keep_best:
+            start_cost = objective.cost(starts.placements, starts.xi)
+            worse = cost > start_cost
+            xi, cost = np.where(worse[:, None, None], starts.xi, xi), np.where(worse, start_cost, cost)
+        trace = np.concatenate(traces, axis=1).mean(axis=1).tolist() if traces else []
+        return Refinement(Candidates(starts.placements, xi, cost), {"iterations": self.iterations, "mean_cost": trace})
+
+    def _run(self, landscape: _Landscape, starts: Candidates, noise: torch.Generator) -> tuple[Any, Any]:
+        import torch
+
+        u = landscape.scaled(starts.xi)
+        placements = torch.as_tensor(starts.placements)
+        best, best_cost = u.clone(), torch.full((len(u),), torch.inf, device=u.device)
+        trace = []
+        for k in range(self.iterations + 1):
+            u.requires_grad_(True)
+            cost = landscape.cost(placements, u)
+            (gradient,) = torch.autograd.grad(cost.sum(), u)
+            u, cost = u.detach(), cost.detach()
+            trace.append(cost.cpu().numpy())
+            better = cost < best_cost
+            best[better], best_cost[better] = u[better], cost[better]
+            if k == self.iterations:
+                break
+            tau = self.tau * (1 - k / self.iterations) if self.anneal else self.tau
+            z = torch.randn(u.shape, generator=noise).to(u.device)
+            u = landscape.clamp(u - self.eta * gradient + (2 * self.eta * tau) ** 0.5 * z)
+        return landscape.unscaled(best if self.keep_best else u), np.array(trace)
+
+
+class _Landscape:
+    """The objective in torch, single precision, over scaled planar parameters."""
+
+    def __init__(self, objective: SequenceObjective, device: torch.device) -> None:
+        import torch
+
+        def tensor(array: Any) -> torch.Tensor:
+            return torch.as_tensor(np.ascontiguousarray(array), dtype=torch.float32, device=device)
+
+        model, first = objective.energy.model, objective.energy.first_layer
+        low, high = objective.bounds
+        self.options = objective.options
+        self.bounded, self.activation = model.bounded, torch_activation(model.activation)
+        self.features: FeatureSet = model.features
+        self.center = tensor([*(low + high) / 2, 0.0])
+        self.scale = tensor([*(high - low) / 2, np.pi])
+        self.placements = tensor(objective.placements[:, :3])
+        self.ends = tensor(np.stack([objective.start_energy, objective.goal_energy]))
+        self.pose_weight = tensor(first.pose.transpose(1, 0, 2).reshape(-1, 12))
+        self.tcp_weight = tensor(first.tcp.transpose(1, 0, 2).reshape(-1, 12))
+        self.constant = tensor(first.constant.T)
+        self.grasps = tensor(objective.energy.grasps.T_object_tcp)
+        self.layers = [(tensor(W), tensor(b)) for W, b in zip(model.weights[1:], model.biases[1:], strict=True)]
+
+    def scaled(self, xi: Any) -> torch.Tensor:
+        import torch
+
+        return (torch.as_tensor(xi, dtype=torch.float32, device=self.center.device) - self.center) / self.scale
+
+    def unscaled(self, u: torch.Tensor) -> Any:
+        return (u * self.scale + self.center).cpu().numpy().astype(np.float64)
+
+    def clamp(self, u: torch.Tensor) -> torch.Tensor:
+        import torch
+
+        return torch.cat([u[..., :2].clamp(-1, 1), u[..., 2:]], dim=-1)
+
+    def cost(self, placements: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
+        """Return ``J_seq`` (B,) of scaled planar parameters (B, N, 3)."""
+        import torch
+
+        xi = u * self.scale + self.center
+        c, s = torch.cos(xi[..., 2:]), torch.sin(xi[..., 2:])
+        r0, r1, r2 = self.placements[placements.to(u.device)].unbind(-2)  # (B, N, 4) each
+        shift = torch.nn.functional.pad(xi[..., :2, None], (3, 0))  # (B, N, 2, 4): x and y in the last column
+        rows = torch.stack([c * r0 - s * r1 + shift[..., 0, :], s * r0 + c * r1 + shift[..., 1, :], r2], dim=-2)
+        middle = self.energies(rows)
+        ends = self.ends[:, None, None].expand(2, len(u), 1, -1)
+        return sequence_cost(torch.cat([ends[0], middle, ends[1]], dim=1), self.options)
+
+    def energies(self, rows: torch.Tensor) -> torch.Tensor:
+        """Return energies (B, N, G) of the upper rows of object poses (B, N, 3, 4)."""
+        import torch
+
+        z = (rows.flatten(-2) @ self.pose_weight.T)[..., None, :] + self.constant
+        if self.features == "tcp":
+            tcp = rows[..., None, :, :] @ self.grasps
+            z = z + tcp.flatten(-2) @ self.tcp_weight.T
+        for W, b in self.layers:
+            z = torch.nn.functional.linear(self.activation(z), W, b)
+        f = z[..., 0]
+        return torch.nn.functional.softplus(f) if self.bounded else f

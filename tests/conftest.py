@@ -1,0 +1,54 @@
+"""Fixtures that several layers share: small random energies, and the built-in bottle problem."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+os.environ.setdefault("OMP_NUM_THREADS", "2")
+
+from regrasp_opt.energy.features import feature_count
+from regrasp_opt.energy.model import EnergyModel, GraspEnergy
+from regrasp_opt.grasps import GraspSet
+
+
+@pytest.fixture(autouse=True)
+def _own_data_home(tmp_path_factory, monkeypatch):
+    """Keep caches and prepared models of tests out of the user's folders, but shared between tests."""
+    home = tmp_path_factory.getbasetemp() / "data-home"
+    monkeypatch.setenv("REGRASP_OPT_HOME", str(home))
+
+
+def random_transforms(rng: np.random.Generator, count: int, spread: float = 0.1) -> np.ndarray:
+    T = np.tile(np.eye(4), (count, 1, 1))
+    T[:, :3, :3] = Rotation.random(count, rng=rng).as_matrix()
+    T[:, :3, 3] = rng.normal(size=(count, 3)) * spread
+    return T
+
+
+@pytest.fixture
+def make_energy() -> Callable[..., GraspEnergy]:
+    """Return a maker of random energies; weights are large enough for the activations to bend."""
+
+    def make(grasps=12, hidden=8, activation="silu", features="tcp", bounded=True, use_width=True, seed=0):
+        rng = np.random.default_rng(seed)
+        shapes = [(hidden, feature_count(features, use_width)), (hidden, hidden), (1, hidden)]
+        weights = tuple((1.5 * rng.normal(size=s) / np.sqrt(s[1])).astype(np.float32) for s in shapes)
+        biases = tuple((0.3 * rng.normal(size=s[0])).astype(np.float32) for s in shapes)
+        model = EnergyModel(weights, biases, activation, features, use_width, bounded, 1.0)
+        widths = rng.uniform(0.01, 0.1, grasps)
+        return GraspEnergy(model, GraspSet(random_transforms(rng, grasps), widths, "parallel"))
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def bottle_problem():
+    """Return the built-in bottle problem with its bundled model."""
+    from regrasp_opt import RegraspProblem
+
+    return RegraspProblem.load("bottle", "nova2-w")

@@ -1,0 +1,61 @@
+import casadi as ca
+import numpy as np
+import pytest
+from conftest import random_transforms
+
+from regrasp_opt.conventions import planar_transform
+from regrasp_opt.energy.activations import ACTIVATIONS, activate
+from regrasp_opt.energy.casadi_energy import CasadiEnergy
+from regrasp_opt.energy.features import pair_features
+
+
+@pytest.mark.parametrize("activation", ACTIVATIONS)
+@pytest.mark.parametrize("features", ["paper", "tcp"])
+@pytest.mark.parametrize("bounded", [True, False])
+@pytest.mark.parametrize("use_width", [True, False])
+def test_energy_is_the_mlp_of_its_features(make_energy, activation, features, bounded, use_width):
+    energy = make_energy(activation=activation, features=features, bounded=bounded, use_width=use_width)
+    T = random_transforms(np.random.default_rng(1), 5)
+    for pose, row in zip(T, energy(T), strict=True):
+        x = pair_features(np.broadcast_to(pose, (len(energy), 4, 4)), energy.grasps, features, use_width)
+        for W, b in zip(energy.model.weights[:-1], energy.model.biases[:-1], strict=True):
+            x = activate(activation, x @ W.T.astype(float) + b)
+        f = (x @ energy.model.weights[-1].T.astype(float) + energy.model.biases[-1])[:, 0]
+        np.testing.assert_allclose(row, np.log1p(np.exp(f)) if bounded else f, atol=1e-12)
+
+
+def test_batches_keep_their_shape_and_single_precision_is_close(make_energy):
+    energy = make_energy()
+    T = random_transforms(np.random.default_rng(2), 6).reshape(2, 3, 4, 4)
+    double, single = energy(T), energy(T, np.float32)
+    assert double.shape == (2, 3, len(energy)) and single.dtype == np.float32
+    np.testing.assert_allclose(single, double, atol=1e-4)
+    assert energy(np.zeros((0, 4, 4))).shape == (0, len(energy))
+
+
+def test_a_large_batch_equals_its_parts(make_energy, monkeypatch):
+    energy = make_energy()
+    T = random_transforms(np.random.default_rng(3), 20)
+    whole = energy(T)
+    monkeypatch.setattr("regrasp_opt.energy.model._CHUNK_ELEMENTS", 3 * len(energy) * energy.model.hidden)
+    np.testing.assert_allclose(energy(T), whole, atol=1e-13)
+
+
+@pytest.mark.parametrize("features", ["paper", "tcp"])
+def test_casadi_energy_equals_numpy_for_planar_and_full_poses(make_energy, features):
+    energy = make_energy(features=features)
+    rng = np.random.default_rng(4)
+    T_p, xi = random_transforms(rng, 1)[0], np.array([0.3, -0.2, 2.0])
+    expressions = CasadiEnergy(energy)
+    x, P, T = ca.MX.sym("xi", 3), ca.MX.sym("P", 4, 4), ca.MX.sym("T", 4, 4)
+    planar = ca.Function("planar", [x, P], [expressions.planar_expression(x, P)])
+    full = ca.Function("full", [T], [expressions.pose_expression(T)])
+    pose = planar_transform(xi) @ T_p
+    np.testing.assert_allclose(np.array(planar(xi, T_p))[:, 0], energy(pose), atol=1e-12)
+    np.testing.assert_allclose(np.array(full(pose))[:, 0], energy(pose), atol=1e-12)
+
+
+def test_fingerprint_changes_with_the_weights_only(make_energy):
+    energy, same, other = make_energy(), make_energy(), make_energy(seed=9)
+    same.model.metadata["note"] = "metadata is not part of the value"
+    assert energy.fingerprint() == same.fingerprint() != other.fingerprint()

@@ -1,0 +1,177 @@
+"""Every refiner against reference problems with known minima, and the promises of the protocol."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from regrasp_opt.connectivity import CostOptions, SequenceObjective, exact_energy
+from regrasp_opt.energy.features import feature_count
+from regrasp_opt.energy.model import EnergyModel, GraspEnergy
+from regrasp_opt.errors import OptionError
+from regrasp_opt.grasps import GraspSet
+from regrasp_opt.solvers import (
+    Candidates,
+    LangevinRefiner,
+    LatticeRefiner,
+    NlpRefiner,
+    PoseLattice,
+    lattice_starts,
+    random_starts,
+)
+
+BOUNDS = np.array([[-0.45, 0.1], [0.45, 0.6]])
+TARGET = np.array([0.1, 0.3])
+REFINERS = [
+    NlpRefiner(),
+    NlpRefiner(hessian="limited-memory"),
+    NlpRefiner(plugin="sqpmethod"),
+    LangevinRefiner(device="cpu"),
+    LatticeRefiner(),
+]
+
+
+def bowl_objective() -> SequenceObjective:
+    """Return an objective whose one-regrasp minimum is at TARGET: E = c + logcosh-like walls around it.
+
+    Each coordinate has two hidden tanh units that saturate on either side, so that E rises with distance.
+    """
+    hidden, inputs = 4, feature_count("paper", False)
+    W1, b1 = np.zeros((hidden, inputs)), np.zeros(hidden)
+    for k in range(2):
+        W1[2 * k, 4 * k + 3], b1[2 * k] = 8.0, -8.0 * TARGET[k] - 1.0
+        W1[2 * k + 1, 4 * k + 3], b1[2 * k + 1] = -8.0, 8.0 * TARGET[k] - 1.0
+    W2, b2 = np.eye(hidden), np.zeros(hidden)
+    W3, b3 = np.full((1, hidden), 3.0), np.zeros(1)
+    arrays = [[a.astype(np.float32) for a in part] for part in ([W1, W2, W3], [b1, b2, b3])]
+    model = EnergyModel(tuple(arrays[0]), tuple(arrays[1]), "tanh", "paper", False, True, 1.0)
+    grasps = GraspSet(np.tile(np.eye(4), (3, 1, 1)), np.zeros(3), "parallel")
+    ends = exact_energy(np.ones(3, dtype=bool))
+    return SequenceObjective(GraspEnergy(model, grasps), np.eye(4)[None], ends, ends, BOUNDS, CostOptions())
+
+
+@pytest.fixture
+def random_objective(make_energy):
+    energy = make_energy(grasps=20, hidden=12)
+    rng = np.random.default_rng(3)
+    placements = np.tile(np.eye(4), (3, 1, 1))
+    placements[1, :3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
+    placements[2, :3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+    ends = [exact_energy(rng.random(20) < 0.3) for _ in range(2)]
+    return SequenceObjective(energy, placements, *ends, BOUNDS, CostOptions())
+
+
+@pytest.mark.parametrize("refiner", REFINERS[:3], ids=lambda r: r.name)
+def test_solvers_find_the_known_minimum(refiner):
+    objective = bowl_objective()
+    starts = random_starts(objective, 1, 6, np.random.default_rng(0))
+    refined = refiner.refine(objective, starts, np.random.default_rng(0))
+    np.testing.assert_allclose(refined.candidates.xi[:, 0, :2], np.tile(TARGET, (6, 1)), atol=2e-3)
+    assert refined.stats["converged"] == refined.stats["solves"] == 6
+
+
+def test_langevin_moves_towards_the_known_minimum():
+    objective = bowl_objective()
+    starts = random_starts(objective, 1, 50, np.random.default_rng(0))
+    refined = LangevinRefiner(iterations=40, tau=0.001, device="cpu").refine(
+        objective, starts, np.random.default_rng(0)
+    )
+    before = np.linalg.norm(starts.xi[:, 0, :2] - TARGET, axis=1).mean()
+    after = np.linalg.norm(refined.candidates.xi[:, 0, :2] - TARGET, axis=1).mean()
+    assert after < 0.5 * before
+
+
+@pytest.mark.parametrize("refiner", REFINERS, ids=lambda r: r.name)
+@pytest.mark.parametrize("num_regrasps", [1, 3])
+def test_the_protocol_is_kept(refiner, num_regrasps, random_objective):
+    starts = random_starts(random_objective, num_regrasps, 7, np.random.default_rng(1))
+    refined = refiner.refine(random_objective, starts, np.random.default_rng(2)).candidates
+    again = refiner.refine(random_objective, starts, np.random.default_rng(2)).candidates
+    assert refined.xi.shape == starts.xi.shape and (refined.placements == starts.placements).all()
+    assert (refined.cost <= starts.cost + 1e-4).all()
+    np.testing.assert_allclose(refined.cost, random_objective.cost(refined.placements, refined.xi), atol=1e-4)
+    low, high = BOUNDS
+    assert (refined.xi[..., :2] >= low - 1e-9).all() and (refined.xi[..., :2] <= high + 1e-9).all()
+    np.testing.assert_array_equal(refined.xi, again.xi)
+
+
+def test_langevin_gradient_is_that_of_the_objective(random_objective):
+    """One noiseless step is the gradient step on workspace-scaled parameters (Eq. 7)."""
+    starts = random_starts(random_objective, 2, 4, np.random.default_rng(1))
+    eta = 1e-3
+    moved = LangevinRefiner(1, eta=eta, tau=0.0, keep_best=False, device="cpu").refine(
+        random_objective, starts, np.random.default_rng(0)
+    )
+    scale = np.array([0.45, 0.25, np.pi])
+    for b in range(len(starts)):
+        gradient = np.zeros((2, 3))
+        for i in range(2):
+            for k in range(3):
+                shift = np.zeros((1, 2, 3))
+                shift[0, i, k] = 1e-5
+                costs = [
+                    random_objective.cost(starts.placements[b : b + 1], starts.xi[b : b + 1] + sign * shift)[0]
+                    for sign in (1, -1)
+                ]
+                gradient[i, k] = (costs[0] - costs[1]) / 2e-5
+        step = moved.candidates.xi[b] - starts.xi[b]
+        np.testing.assert_allclose(step, -eta * scale**2 * gradient, atol=2e-5)
+
+
+def test_lattice_starts_are_chains_of_lattice_poses_with_their_true_cost(random_objective):
+    lattice = PoseLattice.build(random_objective.energy, random_objective.placements, BOUNDS)
+    known = {(int(p), *np.round(x, 9)) for p, x in zip(lattice.placements, lattice.xi, strict=True)}
+    for num_regrasps in (1, 2, 3):
+        chains = lattice_starts(lattice, random_objective, num_regrasps, 12, np.random.default_rng(0))
+        assert chains.xi.shape == (12, num_regrasps, 3)
+        for placements, xi in zip(chains.placements, chains.xi, strict=True):
+            assert all((int(p), *np.round(x, 9)) in known for p, x in zip(placements, xi, strict=True))
+        np.testing.assert_allclose(chains.cost, random_objective.cost(chains.placements, chains.xi), atol=1e-4)
+        assert len({tuple(map(tuple, np.round(xi, 6))) for xi in chains.xi}) == 12
+
+
+def test_one_step_lattice_start_is_the_best_of_the_lattice(random_objective):
+    """With J+ and probabilities far from one the ranking by success is that of an exhaustive search."""
+    lattice = PoseLattice.build(random_objective.energy, random_objective.placements, BOUNDS)
+    best = lattice_starts(lattice, random_objective, 1, 1, np.random.default_rng(0))
+    P = np.exp(-lattice.energies.astype(float))
+    masses = [P @ np.exp(-end) for end in (random_objective.start_energy, random_objective.goal_energy)]
+    probability = np.prod([1 - np.exp(-m) for m in masses], axis=0)
+    index = int(probability.argmax())
+    assert best.placements[0, 0] == lattice.placements[index]
+    np.testing.assert_allclose(best.xi[0, 0], lattice.xi[index])
+
+
+def test_lattice_cache_heals(random_objective, tmp_path):
+    arguments = (random_objective.energy, random_objective.placements, BOUNDS, tmp_path)
+    first = PoseLattice.build(*arguments)
+    (stored,) = tmp_path.glob("*.npy")
+    np.testing.assert_array_equal(PoseLattice.build(*arguments).energies, first.energies)
+    stored.write_bytes(stored.read_bytes()[:100])
+    np.testing.assert_array_equal(PoseLattice.build(*arguments).energies, first.energies)
+    assert np.load(stored).shape == first.energies.shape
+
+
+def test_candidates_rank_by_cost():
+    batch = Candidates(np.zeros((3, 1), dtype=int), np.arange(9.0).reshape(3, 1, 3), np.array([2.0, 1.0, 3.0]))
+    assert batch.best(2).cost.tolist() == [1.0, 2.0]
+    assert batch.best(2).xi[0, 0, 0] == 3.0
+
+
+@pytest.mark.parametrize("wrong", [{"max_iterations": 0}, {"tolerance": 0.0}])
+def test_wrong_solver_options_are_rejected(wrong):
+    with pytest.raises(OptionError, match=next(iter(wrong))):
+        NlpRefiner(**wrong)
+
+
+def test_nlp_and_lattice_run_without_torch():
+    script = (
+        "import sys; sys.path.insert(0, 'tests'); sys.path.insert(0, 'tests/solvers');"
+        "from test_refiners import bowl_objective, np;"
+        "from regrasp_opt.solvers import NlpRefiner, LatticeRefiner, random_starts;"
+        "o = bowl_objective(); r = np.random.default_rng(0); s = random_starts(o, 1, 2, r);"
+        "NlpRefiner().refine(o, s, r); LatticeRefiner().refine(o, s, r);"
+        "sys.exit('torch' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
