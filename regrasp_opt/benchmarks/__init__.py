@@ -1,0 +1,1 @@
+"""Reproducible figures: the oracle, the baselines and the tables."""

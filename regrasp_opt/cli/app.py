@@ -1,0 +1,189 @@
+"""The commands and their options. Heavy modules are imported by the command that needs them, so `--help` is instant."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import traceback
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from regrasp_opt.errors import RegraspError
+
+app = typer.Typer(
+    name="regrasp-opt",
+    help="Plan regrasps: the intermediate poses at which a robot must put an object down to get it from start to goal.",
+    no_args_is_help=True,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+_state = {"debug": False}
+
+ObjectOption = Annotated[
+    str, typer.Option("--object", help="Built-in object (bottle, mug, pentagon, figurine) or a mesh file.")
+]
+WorkcellOption = Annotated[str, typer.Option(help="Built-in workcell (nova2-w, nova2-r140, ...) or a TOML file.")]
+EffectorOption = Annotated[str | None, typer.Option("--end-effector", help="Replace the workcell's end-effector.")]
+ModelOption = Annotated[Path | None, typer.Option(help="Folder of a prepared model.")]
+ScaleOption = Annotated[float, typer.Option(help="Metres per unit of the mesh file, e.g. 0.001.")]
+RepairOption = Annotated[bool, typer.Option("--repair", help="Mend the mesh where that is safe.")]
+SeedOption = Annotated[int, typer.Option(help="Same seed, same result.")]
+PlanArgument = Annotated[Path, typer.Argument(metavar="PLAN", help="A plan file.", show_default=False)]
+
+
+def run(arguments: list[str]) -> int:
+    """Run the command line on `arguments` and return the exit code."""
+    try:
+        result = app(args=arguments, standalone_mode=False)
+    except typer.TyperException as error:
+        return _fail(error.format_message(), error)
+    except RegraspError as error:
+        return _fail(str(error), error)
+    except OSError as error:
+        return _fail(f"{error.strerror or error}: {error.filename}" if error.filename else str(error), error)
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
+    return result if isinstance(result, int) else 0
+
+
+def _fail(message: str, error: BaseException) -> int:
+    if _state["debug"]:
+        traceback.print_exception(error)
+    print(f"error: {' '.join(message.split())}", file=sys.stderr)
+    return 2
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        print(f"regrasp-opt {version('regrasp-opt')}")
+        raise typer.Exit()
+
+
+@app.callback()
+def _common(
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log what is done to stderr.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    _state["debug"] = debug or bool(os.environ.get("REGRASP_OPT_DEBUG"))
+    logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, format="%(name)s: %(message)s")
+
+
+@app.command()
+def plan(
+    object: ObjectOption = "bottle",
+    workcell: WorkcellOption = "nova2-w",
+    end_effector: EffectorOption = None,
+    start: Annotated[
+        str | None,
+        typer.Option(metavar="POSE", help="PLACEMENT:x,y,yaw_deg or a JSON file with a 4x4 matrix."),
+    ] = None,
+    goal: Annotated[str | None, typer.Option(metavar="POSE", help="As --start.")] = None,
+    refiner: Annotated[str, typer.Option(help="ipopt, langevin or lattice.")] = "ipopt",
+    seed: SeedOption = 0,
+    max_regrasps: Annotated[int, typer.Option(help="Largest number of intermediate poses.")] = 5,
+    time_limit: Annotated[float | None, typer.Option(help="Seconds to search at most.")] = None,
+    model: ModelOption = None,
+    scale: ScaleOption = 1.0,
+    repair: RepairOption = False,
+    out: Annotated[Path | None, typer.Option(help="Save the plan as JSON.")] = None,
+    html: Annotated[Path | None, typer.Option(help="Save a page that shows the plan.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the plan as one JSON object.")] = False,
+) -> int:
+    """Plan from a start to a goal pose. Ends that are not given are drawn at random so that a regrasp is needed.
+
+    Examples
+    --------
+    regrasp-opt plan
+
+    regrasp-opt plan --object mug --start 0:-0.2,0.4,30 --goal 1:0.25,0.3,180 --out plan.json
+
+    regrasp-opt plan --object part.stl --workcell my-cell.toml --html plan.html
+    """
+    from regrasp_opt.cli.plan import PlanRequest, run_plan
+
+    request = PlanRequest(
+        object,
+        workcell,
+        end_effector,
+        start,
+        goal,
+        refiner,
+        seed,
+        max_regrasps,
+        time_limit,
+        model,
+        scale,
+        repair,
+    )
+    return run_plan(request, out=out, html=html, as_json=json)
+
+
+@app.command()
+def prepare(
+    object: Annotated[str, typer.Argument(metavar="OBJECT", help="Built-in object or a mesh file.")],
+    workcell: WorkcellOption = "nova2-w",
+    end_effector: EffectorOption = None,
+    samples: Annotated[int, typer.Option(help="Feasible (pose, grasp) pairs to train on.")] = 20_000,
+    grasps: Annotated[int, typer.Option(help="Candidate grasps.")] = 200,
+    seed: SeedOption = 0,
+    jobs: Annotated[int, typer.Option(help="Worker processes; -1 uses all cores.")] = -1,
+    scale: ScaleOption = 1.0,
+    repair: RepairOption = False,
+    out: Annotated[Path | None, typer.Option(help="Folder of the model; by default your data folder.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the report as one JSON object.")] = False,
+) -> int:
+    """Sample grasps, label poses, train and calibrate, so that the object can be planned with. Resumes.
+
+    Example:
+
+    regrasp-opt prepare part.stl --workcell nova2-w
+    """
+    from regrasp_opt.cli.prepare import PrepareRequest, run_prepare
+
+    request = PrepareRequest(object, workcell, end_effector, samples, grasps, seed, jobs, scale, repair, out)
+    return run_prepare(request, as_json=json)
+
+
+@app.command()
+def check(
+    plan: PlanArgument,
+    json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
+) -> int:
+    """Prove a saved plan again from problem data alone; exit 1 and name the transition if a claim does not hold.
+
+    Example:
+
+    regrasp-opt check plan.json
+    """
+    from regrasp_opt.cli.check import run_check
+
+    return run_check(plan, as_json=json)
+
+
+@app.command()
+def export(
+    model: Annotated[
+        Path,
+        typer.Argument(metavar="MODEL", help="Folder of a prepared model, or OBJECT-WORKCELL of a bundled one."),
+    ],
+    to: Annotated[Literal["casadi", "c", "onnx"], typer.Option("--to", help="Format.")],
+    out: Annotated[Path | None, typer.Option(help="File to write; by default in this folder.")] = None,
+) -> int:
+    """Export the energy of all grasps as a function of an object pose.
+
+    Example:
+
+    regrasp-opt export bottle-nova2-w --to c --out energy.c
+    """
+    from regrasp_opt.cli.export import run_export
+
+    return run_export(model, to, out)

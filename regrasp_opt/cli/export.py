@@ -1,0 +1,25 @@
+"""`regrasp-opt export`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from regrasp_opt.energy.export import SUFFIXES, export_energy
+from regrasp_opt.energy.model import GraspEnergy
+from regrasp_opt.energy.storage import load_energy
+from regrasp_opt.errors import UnknownNameError
+from regrasp_opt.grasps import GraspSet
+from regrasp_opt.planning.model_store import ENERGY_FILE, GRASPS_FILE, REPORT_FILE, bundled_models
+
+
+def run_export(model: Path, to: str, out: Path | None) -> int:
+    """Export the energy of a prepared model; return 0."""
+    bundled = {folder.parent.name: folder.parent for folder in bundled_models().glob(f"*/{REPORT_FILE}")}
+    folder = model if model.is_dir() else bundled.get(str(model))
+    if folder is None:
+        raise UnknownNameError("model", str(model), bundled)
+    energy = GraspEnergy(load_energy(folder / ENERGY_FILE), GraspSet.load(folder / GRASPS_FILE))
+    path = out or Path(f"{folder.name}{SUFFIXES[to]}")
+    export_energy(energy, to, path)
+    print(f"written: {path}")
+    return 0

@@ -1,0 +1,105 @@
+"""`regrasp-opt plan`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from regrasp_opt.cli.poses import describe_pose, parse_pose
+from regrasp_opt.errors import RegraspError
+from regrasp_opt.planning import RegraspPlan, RegraspProblem, solve_sequence
+from regrasp_opt.planning.plan_file import plan_summary
+from regrasp_opt.planning.tasks import Task, random_task
+
+
+@dataclass(frozen=True)
+class PlanRequest:
+    """The options of `regrasp-opt plan`."""
+
+    object: str
+    workcell: str
+    end_effector: str | None
+    start: str | None
+    goal: str | None
+    refiner: str
+    seed: int
+    max_regrasps: int
+    time_limit: float | None
+    model: Path | None
+    scale: float
+    repair: bool
+
+
+def run_plan(request: PlanRequest, *, out: Path | None, html: Path | None, as_json: bool) -> int:
+    """Plan, print and save; return 0 if solved, else 1."""
+    problem = RegraspProblem.load(
+        request.object,
+        request.workcell,
+        end_effector=request.end_effector,
+        model=request.model,
+        scale=request.scale,
+        repair=request.repair,
+    )
+    task = _task(request, problem)
+    plan = solve_sequence(
+        problem,
+        task.start,
+        task.goal,
+        request.refiner,
+        max_regrasps=request.max_regrasps,
+        seed=request.seed,
+        time_limit=request.time_limit,
+    )
+    if out is not None:
+        plan.save(out)
+    if html is not None:
+        from regrasp_opt.viz import write_plan_page
+
+        write_plan_page(plan, html)
+    if as_json:
+        print(json.dumps(plan_summary(plan), allow_nan=False))
+    else:
+        _print(plan, [path for path in (out, html) if path is not None])
+    return 0 if plan.solved else 1
+
+
+def _task(request: PlanRequest, problem: RegraspProblem) -> Task:
+    ends = {
+        name: None if text is None else parse_pose(text, name, problem.placement_poses)
+        for name, text in (("start", request.start), ("goal", request.goal))
+    }
+    if ends["start"] is not None and ends["goal"] is not None:
+        return Task(ends["start"], ends["goal"], -1)
+    rng = np.random.default_rng(request.seed)
+    try:
+        return random_task(problem, rng, start=ends["start"], goal=ends["goal"], needs_regrasp=True)
+    except RegraspError:
+        return random_task(problem, rng, start=ends["start"], goal=ends["goal"])
+
+
+def _print(plan: RegraspPlan, written: list[Path]) -> None:
+    console = Console(highlight=False)
+    problem = plan.problem
+    colour = "green" if plan.solved else "red"
+    console.print(f"[bold {colour}]{plan.status.name.lower()}[/]: {plan.status.value.removeprefix('solved: ')}")
+    if plan.solved:
+        console.print(
+            f"{problem.object.name} in {problem.workcell.name}: {plan.num_regrasps} regrasp(s), "
+            f"J_seq {plan.cost:.2f}, {plan.timings['total']:.2f} s"
+        )
+        table = Table(box=None, header_style="bold")
+        for heading in ("move", "from [m]", "to [m]", "placement", "shared grasps", "clearance [mm]"):
+            table.add_column(heading, justify="left" if heading in ("from [m]", "to [m]") else "right")
+        for i, transition in enumerate(plan.transitions):
+            target = "goal" if i == plan.num_regrasps else str(plan.placements[i])
+            clearance = f"{1e3 * transition.clearance.max():.1f}"
+            ends = [describe_pose(T) for T in plan.poses[i : i + 2]]
+            table.add_row(str(i), *ends, target, str(len(transition.grasp_ids)), clearance)
+        console.print(table)
+    for path in written:
+        console.print(f"written: {path}")

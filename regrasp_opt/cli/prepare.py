@@ -1,0 +1,79 @@
+"""`regrasp-opt prepare`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from regrasp_opt.objects import load_object
+from regrasp_opt.planning.prepare import prepare
+from regrasp_opt.workcell import load_workcell
+
+
+@dataclass(frozen=True)
+class PrepareRequest:
+    """The options of `regrasp-opt prepare`."""
+
+    object: str
+    workcell: str
+    end_effector: str | None
+    samples: int
+    grasps: int
+    seed: int
+    jobs: int
+    scale: float
+    repair: bool
+    out: Path | None
+
+
+def run_prepare(request: PrepareRequest, *, as_json: bool) -> int:
+    """Prepare a model, with progress on a terminal; return 0."""
+    model = load_object(request.object, scale=request.scale, repair=request.repair)
+    workcell = load_workcell(request.workcell, end_effector=request.end_effector)
+    errors = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=errors, disable=not errors.is_terminal, transient=True) as bar:
+        rows: dict[str, int] = {}
+
+        def show(what: str, done: int, total: int) -> None:
+            if what not in rows:
+                rows[what] = int(bar.add_task(what, total=total))
+            bar.update(rows[what], completed=done, total=total)  # type: ignore[arg-type]
+
+        folder, report = prepare(
+            model,
+            workcell,
+            samples=request.samples,
+            num_grasps=request.grasps,
+            out=request.out,
+            seed=request.seed,
+            jobs=request.jobs,
+            progress=show,
+        )
+    if as_json:
+        print(json.dumps({"folder": str(folder), **report}))
+        return 0
+    console = Console(highlight=False)
+    console.print(
+        f"[bold green]prepared[/] {model.name} for {workcell.name}: {report['grasps']} grasps, "
+        f"{report['placements']} placements, {report['feasible_pairs']} feasible of {report['pairs']} pairs"
+    )
+    table = Table(box=None, header_style="bold")
+    for heading in ("energy", "held-out AP", "F1", "shared F1", "h"):
+        table.add_column(heading, justify="left" if heading == "energy" else "right")
+    for name, held_out in report["held_out"].items():
+        figures = (
+            held_out["average_precision"],
+            held_out["f1"],
+            held_out["shared_f1"],
+            report["threshold"][name],
+        )
+        table.add_row(name, *(f"{value:.3f}" for value in figures))
+    console.print(table)
+    console.print(f"written: {folder}")
+    return 0

@@ -1,0 +1,7 @@
+"""From a problem to a proved plan: `RegraspProblem`, `solve_sequence`, `RegraspPlan` and `prepare`."""
+
+from regrasp_opt.planning.plan import RegraspPlan, Status, Transition
+from regrasp_opt.planning.problem import RegraspProblem
+from regrasp_opt.planning.search import Recipe, solve_sequence
+
+__all__ = ["Recipe", "RegraspPlan", "RegraspProblem", "Status", "Transition", "solve_sequence"]

@@ -1,0 +1,72 @@
+"""Checks of the start and goal poses that a caller gives, before anything is planned."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import coal
+import numpy as np
+
+from regrasp_opt.conventions import FloatArray, as_pose
+from regrasp_opt.errors import PoseError
+from regrasp_opt.feasibility.geometry import mesh_geometry, shape_geometry
+from regrasp_opt.objects import ObjectModel
+from regrasp_opt.workcell import Workcell
+
+RESTING_TOLERANCE = 1e-3
+"""How far the lowest point of a start or goal may be from the table top [m]."""
+
+
+def checked_end(T: Any, name: str, model: ObjectModel, workcell: Workcell) -> FloatArray:
+    """Return the pose `T` as a rigid (4, 4) transform at which the object can rest in the workcell.
+
+    Raises
+    ------
+    PoseError
+        If it is no rigid transform, floats above the table or sinks into it, overlaps an obstacle or the robot's
+        base, or lies outside the workspace or the arm's reach; `name` (start or goal) is in the message.
+    """
+    T = as_pose(T, f"{name} pose")
+    vertices = model.vertices @ T[:3, :3].T + T[:3, 3]
+    _check_workspace(T, name, model, workcell, vertices)
+    gap = float(vertices[:, 2].min()) - workcell.table.height
+    if gap > RESTING_TOLERANCE:
+        raise PoseError(f"the object floats {gap * 1e3:.1f} mm above the table at the {name} pose; lower it")
+    if gap < -RESTING_TOLERANCE:
+        raise PoseError(f"the object sinks {-gap * 1e3:.1f} mm into the table at the {name} pose; raise it")
+    body = coal.CollisionObject(mesh_geometry(model.vertices, model.faces), coal.Transform3s(T[:3, :3], T[:3, 3]))
+    for obstacle, what in _static_bodies(workcell):
+        request, result = coal.CollisionRequest(), coal.CollisionResult()
+        if coal.collide(body, obstacle, request, result):
+            raise PoseError(f"the object overlaps {what} at the {name} pose; move it away")
+    return T
+
+
+def _check_workspace(T: FloatArray, name: str, model: ObjectModel, workcell: Workcell, vertices: FloatArray) -> None:
+    center = (T[:3, :3] @ model.center_of_mass + T[:3, 3])[:2]
+    low, high = workcell.bounds.array
+    if (center < low - 1e-9).any() or (center > high + 1e-9).any():
+        raise PoseError(
+            f"the {name} pose is outside the workspace: the object's centre is at x = {center[0]:.3f}, "
+            f"y = {center[1]:.3f} m; keep it in x [{low[0]:g}, {high[0]:g}], y [{low[1]:g}, {high[1]:g}]"
+        )
+    distance = float(np.linalg.norm(vertices - workcell.T_world_base[:3, 3], axis=1).min())
+    reach = workcell.robot.max_reach + workcell.end_effector.tcp_offset
+    if distance > reach:
+        raise PoseError(
+            f"the {name} pose is out of reach: the object is {distance:.2f} m from the robot's base, "
+            f"which reaches {reach:.2f} m; move it nearer"
+        )
+
+
+def _static_bodies(workcell: Workcell) -> list[tuple[Any, str]]:
+    bodies = []
+    for shape in workcell.obstacles:
+        pose = coal.Transform3s(shape.pose[:3, :3], shape.pose[:3, 3])
+        bodies.append((coal.CollisionObject(shape_geometry(shape), pose), f"the obstacle '{shape.name}'"))
+    for item in workcell.robot.collision.geometryObjects:
+        if item.parentJoint == 0:
+            T = workcell.T_world_base @ item.placement.homogeneous
+            pose = coal.Transform3s(T[:3, :3], T[:3, 3])
+            bodies.append((coal.CollisionObject(item.geometry, pose), "the robot's base"))
+    return bodies

@@ -1,0 +1,91 @@
+"""Where prepared models live and how one is found for an object and a workcell.
+
+A model is a folder: the grasps, our energy, the paper's preset trained on the same data, and a report. Bundled
+models come with the package; others are kept in the user's data folder under a hash of object and workcell.
+"""
+
+from __future__ import annotations
+
+import json
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from regrasp_opt.errors import ModelError
+from regrasp_opt.files import atomic_path, content_hash, data_home
+from regrasp_opt.objects import ObjectModel
+from regrasp_opt.workcell import Workcell
+
+GRASPS_FILE = "grasps.npz"
+ENERGY_FILE = "energy.safetensors"
+PAPER_ENERGY_FILE = "energy-paper.safetensors"
+REPORT_FILE = "report.json"
+FORMAT = 1
+
+
+def model_key(model: ObjectModel, workcell: Workcell) -> str:
+    """Return the hash of everything that a prepared model depends on."""
+    return content_hash("model", FORMAT, model.fingerprint(), workcell.fingerprint())[:32]
+
+
+def bundled_models() -> Path:
+    """Return the folder of the models that come with the package."""
+    return Path(str(resources.files("regrasp_opt"))) / "data" / "models"
+
+
+def default_folder(model: ObjectModel, workcell: Workcell) -> Path:
+    """Return where `prepare` puts a model unless told otherwise."""
+    return data_home() / "models" / model_key(model, workcell)
+
+
+def find_model(model: ObjectModel, workcell: Workcell, folder: Path | None = None) -> Path | None:
+    """Return the folder of the model prepared for `model` in `workcell`, or None.
+
+    Parameters
+    ----------
+    folder : Path, optional
+        Take this one, and no other.
+
+    Raises
+    ------
+    ModelError
+        If `folder`, or a folder that should hold the model, is broken or was made for something else.
+    """
+    key = model_key(model, workcell)
+    if folder is not None:
+        if read_report(folder)["key"] != key:
+            raise ModelError(
+                f"the model in '{folder}' was prepared for another object or workcell than '{model.name}' in "
+                f"'{workcell.name}'; prepare one for these"
+            )
+        return folder
+    for candidate in (bundled_models() / f"{model.name}-{workcell.name}", default_folder(model, workcell)):
+        if (candidate / REPORT_FILE).is_file() and read_report(candidate)["key"] == key:
+            return candidate
+    return None
+
+
+def read_report(folder: Path) -> dict[str, Any]:
+    """Return the report of the model in `folder`.
+
+    Raises
+    ------
+    ModelError
+        If it is missing, corrupt or of another format.
+    """
+    path = folder / REPORT_FILE
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ModelError(f"'{folder}' holds no prepared model; make one with 'regrasp-opt prepare'") from error
+    except ValueError as error:
+        raise ModelError(f"'{path}' is corrupt; delete the folder and run 'regrasp-opt prepare' again") from error
+    if not isinstance(report, dict) or report.get("format") != FORMAT or "key" not in report:
+        raise ModelError(f"'{path}' is no model report of format {FORMAT}; run 'regrasp-opt prepare' again")
+    return report
+
+
+def write_report(folder: Path, report: dict[str, Any]) -> None:
+    """Write `report`; it is the last file of a model, so a folder with a report is complete."""
+    with atomic_path(folder / REPORT_FILE) as temporary:
+        temporary.write_text(json.dumps({"format": FORMAT, **report}, indent=1) + "\n", encoding="utf-8")

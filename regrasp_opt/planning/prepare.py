@@ -1,0 +1,147 @@
+"""`prepare`: from an object and a workcell to a stored model - grasps, labels, training, calibration.
+
+The paper's preset is trained on the same data and kept beside ours, so that both are on record.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import joblib
+import numpy as np
+
+from regrasp_opt.conventions import translation
+from regrasp_opt.energy.calibration import calibrate
+from regrasp_opt.energy.features import pair_features
+from regrasp_opt.energy.model import EnergyModel, GraspEnergy
+from regrasp_opt.energy.storage import save_energy
+from regrasp_opt.energy.training import PRESETS, train
+from regrasp_opt.errors import GraspError, OptionError
+from regrasp_opt.feasibility.dataset import (
+    LabelledPairs,
+    LabelledPoses,
+    LabellingTask,
+    label_pairs,
+    label_poses,
+)
+from regrasp_opt.grasps import GraspSet, sample_grasps
+from regrasp_opt.objects import ObjectModel
+from regrasp_opt.planning.model_store import (
+    ENERGY_FILE,
+    GRASPS_FILE,
+    PAPER_ENERGY_FILE,
+    default_folder,
+    model_key,
+    write_report,
+)
+from regrasp_opt.workcell import Workcell
+
+DEFAULT_SAMPLES = 20_000
+HELD_OUT_POSES = 300
+Progress = Callable[[str, int, int], None]
+
+
+def prepare(
+    model: ObjectModel,
+    workcell: Workcell,
+    *,
+    samples: int = DEFAULT_SAMPLES,
+    num_grasps: int = 200,
+    out: str | os.PathLike[str] | None = None,
+    seed: int = 0,
+    jobs: int = -1,
+    progress: Progress | None = None,
+) -> tuple[Path, dict[str, Any]]:
+    """Make and store everything that planning with `model` in `workcell` needs.
+
+    Parameters
+    ----------
+    samples : int
+        Feasible (pose, grasp) pairs to train on; the infeasible ones met on the way are kept too.
+    num_grasps : int
+        Candidate grasps of the model.
+    out : path, optional
+        Folder of the model; by default one in the user's data folder, where `RegraspProblem.load` finds it.
+    jobs : int
+        Worker processes for labelling, as joblib counts them.
+    progress : callable, optional
+        Called with (what is being done, done, to do).
+
+    Returns
+    -------
+    folder : Path
+    report : dict
+        Counts, times [s], and average precision and F1 on held-out poses of our energy and of the paper's preset.
+
+    Raises
+    ------
+    GraspError
+        If no grasp fits the object or none is feasible in the workspace.
+    ModelError
+        If the labels cannot train an energy.
+    """
+    if samples < 100 or num_grasps < 1:
+        raise OptionError(f"samples is {samples} and num_grasps {num_grasps}; give at least 100 and 1")
+    if not model.placements:
+        raise GraspError(f"'{model.name}' has no stable placement on a table; check the mesh's shape and scale")
+    tell = progress or (lambda *_: None)
+    folder = default_folder(model, workcell) if out is None else Path(out)
+    times: dict[str, float] = {}
+
+    began = time.perf_counter()
+    tell("sampling grasps", 0, 1)
+    grasps = sample_grasps(model, workcell.end_effector, num_grasps, seed=seed)
+    times["grasps"] = time.perf_counter() - began
+
+    began = time.perf_counter()
+    lift = translation(0.0, 0.0, workcell.table.height)
+    placements = np.array([lift @ p.pose for p in model.placements])
+    task = LabellingTask(model, workcell, grasps, placements, seed)
+    pairs = label_pairs(
+        task, samples, folder=folder / "labels", jobs=jobs, progress=lambda n, of: tell("labelling", n, of)
+    )
+    held_out = label_poses(task, HELD_OUT_POSES, jobs=jobs)
+    times["labelling"] = time.perf_counter() - began
+
+    began = time.perf_counter()
+    tell("training", 0, len(PRESETS))
+    energies: dict[str, EnergyModel] = {}
+    with joblib.Parallel(n_jobs=min(len(PRESETS), joblib.effective_n_jobs(jobs)), return_as="generator") as parallel:
+        work = (joblib.delayed(_train_and_calibrate)(pairs, held_out, grasps, name, seed) for name in PRESETS)
+        for name, energy in zip(PRESETS, parallel(work), strict=True):
+            energies[name] = energy
+            tell("training", len(energies), len(PRESETS))
+    times["training"] = time.perf_counter() - began
+
+    grasps.save(folder / GRASPS_FILE)
+    save_energy(energies["paper"], folder / PAPER_ENERGY_FILE)
+    save_energy(energies["default"], folder / ENERGY_FILE)
+    report = {
+        "key": model_key(model, workcell),
+        "object": model.name,
+        "workcell": workcell.name,
+        "seed": seed,
+        "grasps": len(grasps),
+        "placements": len(placements),
+        "pairs": len(pairs),
+        "feasible_pairs": int(pairs.feasible.sum()),
+        "held_out": {name: energy.metadata["held_out"] for name, energy in energies.items()},
+        "threshold": {name: energy.threshold for name, energy in energies.items()},
+        "times": times,
+    }
+    write_report(folder, report)
+    return folder, report
+
+
+def _train_and_calibrate(
+    pairs: LabelledPairs, held_out: LabelledPoses, grasps: GraspSet, preset: str, seed: int
+) -> EnergyModel:
+    options = replace(PRESETS[preset], seed=seed)
+    chosen = grasps.subset(pairs.grasp_ids)
+    trained = train(pair_features(pairs.T, chosen, options.features, options.use_width), pairs.feasible, options)
+    return calibrate(trained, GraspEnergy(trained, grasps), held_out.T, held_out.feasible, seed)

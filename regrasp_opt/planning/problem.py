@@ -1,0 +1,171 @@
+"""The problem: one object in one workcell with its candidate grasps and, where one was prepared, its energy."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import coal
+import numpy as np
+
+from regrasp_opt.connectivity.embedding import ProblemEnergy
+from regrasp_opt.conventions import BoolArray, FloatArray, as_pose, translation
+from regrasp_opt.energy.storage import load_energy
+from regrasp_opt.errors import GraspError, ModelError
+from regrasp_opt.feasibility import FeasibilityChecker
+from regrasp_opt.feasibility.geometry import mesh_geometry, shape_geometry
+from regrasp_opt.files import data_home
+from regrasp_opt.grasps import GraspSet, sample_grasps
+from regrasp_opt.objects import ObjectModel, Placement, load_object
+from regrasp_opt.planning.model_store import ENERGY_FILE, GRASPS_FILE, find_model
+from regrasp_opt.solvers import PoseLattice
+from regrasp_opt.workcell import Workcell, load_workcell
+
+DEFAULT_GRASPS = 200
+"""Candidate grasps of a problem (the paper's number)."""
+
+
+@dataclass(frozen=True, eq=False)
+class RegraspProblem:
+    """What a plan is made for. Use `RegraspProblem.load`; everything heavy is made when first used.
+
+    Attributes
+    ----------
+    object : ObjectModel
+    workcell : Workcell
+    grasps : GraspSet
+        G candidate grasps; their numbers are the grasp ids of plans.
+    placements : tuple of Placement
+        Stable placements on this workcell's table: ``.pose`` (4, 4) T_world_object at xi = 0, ``.margin``.
+    model_folder : Path or None
+        Where the prepared model was found.
+    """
+
+    object: ObjectModel
+    workcell: Workcell
+    grasps: GraspSet
+    placements: tuple[Placement, ...]
+    model_folder: Path | None = None
+
+    @staticmethod
+    def load(
+        object: str | os.PathLike[str] | ObjectModel = "bottle",
+        workcell: str | os.PathLike[str] | Workcell = "nova2-w",
+        *,
+        end_effector: str | None = None,
+        model: str | os.PathLike[str] | None = None,
+        grasps: GraspSet | None = None,
+        scale: float = 1.0,
+        repair: bool = False,
+    ) -> RegraspProblem:
+        """Load a problem by names or paths.
+
+        Parameters
+        ----------
+        object : str or path
+            A built-in name, or an STL, OBJ, PLY or GLB file.
+        workcell : str or path
+            A built-in name, or a TOML file.
+        end_effector : str, optional
+            Replaces the workcell's end-effector.
+        model : path, optional
+            Folder that ``regrasp-opt prepare --out`` wrote; by default the bundled models and the user's are searched.
+        grasps : GraspSet, optional
+            Plan with these instead of the prepared ones; an energy knows grasps by their geometry, not their number.
+        scale, repair
+            As of `load_object`.
+
+        Raises
+        ------
+        RegraspError
+            For an unknown name, a broken mesh, workcell or model, or an object that no grasp fits.
+        """
+        body = object if isinstance(object, ObjectModel) else load_object(object, scale=scale, repair=repair)
+        if not isinstance(workcell, Workcell):
+            workcell = load_workcell(workcell, end_effector=end_effector)
+        if not body.placements:
+            raise GraspError(
+                f"'{body.name}' has no stable placement on a table, so it cannot be regrasped; check its shape and scale"
+            )
+        folder = find_model(body, workcell, None if model is None else Path(model))
+        if grasps is None:
+            if folder is not None:
+                grasps = GraspSet.load(folder / GRASPS_FILE)
+            else:
+                grasps = sample_grasps(body, workcell.end_effector, DEFAULT_GRASPS)
+        lift = translation(0.0, 0.0, workcell.table.height)
+        placements = tuple(Placement(lift @ p.pose, p.margin) for p in body.placements)
+        return RegraspProblem(body, workcell, grasps, placements, folder)
+
+    @cached_property
+    def checker(self) -> FeasibilityChecker:
+        """The exact checker of this problem's grasps."""
+        return FeasibilityChecker(self.object, self.workcell, self.grasps)
+
+    @cached_property
+    def placement_poses(self) -> FloatArray:
+        """The placements' poses (S, 4, 4)."""
+        return np.array([p.pose for p in self.placements])
+
+    @cached_property
+    def energy(self) -> ProblemEnergy:
+        """The prepared energy on this problem's grasps.
+
+        Raises
+        ------
+        ModelError
+            If none was prepared for this object and workcell.
+        """
+        if self.model_folder is None:
+            raise ModelError(
+                f"no model was prepared for '{self.object.name}' in workcell '{self.workcell.name}'; run "
+                f"'regrasp-opt prepare {_argument(self.object)} --workcell {_argument(self.workcell)}'"
+            )
+        return ProblemEnergy(load_energy(self.model_folder / ENERGY_FILE), self.grasps, self.placement_poses)
+
+    @cached_property
+    def lattice(self) -> PoseLattice:
+        """The lattice of poses with their energies; kept on disk under a hash, and in memory."""
+        cache = data_home() / "lattices"
+        return PoseLattice.build(self.energy, self.placement_poses, self.workcell.bounds.array, cache)
+
+    def feasible_grasps(self, T: Any) -> BoolArray:
+        """Return which grasps (G,) are feasible at object pose `T` (4, 4) T_world_object, exactly.
+
+        Raises
+        ------
+        PoseError
+            If `T` is no rigid transform.
+        """
+        return self.checker.feasible(as_pose(T))
+
+    def object_collides(self, T: FloatArray) -> bool:
+        """Return whether the object at pose `T` (4, 4) is nearer to an obstacle or the base than the clearance."""
+        body = coal.CollisionObject(self._object_geometry, coal.Transform3s(T[:3, :3], T[:3, 3]))
+        request = coal.CollisionRequest()
+        request.security_margin = self.workcell.clearance.gripper
+        return any(coal.collide(body, item, request, coal.CollisionResult()) for item in self._static)
+
+    @cached_property
+    def _object_geometry(self) -> Any:
+        return mesh_geometry(self.object.vertices, self.object.faces)
+
+    @cached_property
+    def _static(self) -> list[Any]:
+        items = [
+            coal.CollisionObject(shape_geometry(s), coal.Transform3s(s.pose[:3, :3], s.pose[:3, 3]))
+            for s in self.workcell.obstacles
+        ]
+        for body in self.workcell.robot.collision.geometryObjects:
+            if body.parentJoint == 0:
+                T = self.workcell.T_world_base @ body.placement.homogeneous
+                items.append(coal.CollisionObject(body.geometry, coal.Transform3s(T[:3, :3], T[:3, 3])))
+        return items
+
+
+def _argument(item: ObjectModel | Workcell) -> str:
+    """Return what names `item` on the command line."""
+    return item.name if item.source == "built-in" else item.source

@@ -1,0 +1,223 @@
+"""Proof of a plan from problem data alone, along a path that shares no code with the planner's checks.
+
+Forward kinematics come from Pinocchio's own algorithm on the robot's URDF model, distances from one `coal.distance`
+call for each pair of bodies, with the fingers where they stand at the grasp width and at the width they approach
+with. The planner uses inverse kinematics, swept fingers and batched collision tests instead.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from regrasp_opt.conventions import (
+    CLEARANCE_TOLERANCE,
+    FK_POSITION_TOLERANCE,
+    FK_ROTATION_TOLERANCE,
+    JOINT_LIMIT_TOLERANCE,
+    PLACEMENT_TOLERANCE,
+    FloatArray,
+    invert,
+    pose_distance,
+)
+from regrasp_opt.feasibility.geometry import mesh_geometry, shape_geometry
+
+if TYPE_CHECKING:
+    from regrasp_opt.planning.plan import RegraspPlan, Transition
+    from regrasp_opt.planning.problem import RegraspProblem
+
+
+class Body(NamedTuple):
+    """A Coal geometry at a world pose (4, 4)."""
+
+    name: str
+    geometry: Any
+    T_world: FloatArray
+
+
+@dataclass(frozen=True)
+class TransitionResiduals:
+    """What was recomputed for the K grasps of one transition; columns are pick and place.
+
+    Attributes
+    ----------
+    position_error, rotation_error : (K, 2)
+        Distance [m] and angle [rad] between the TCP of forward kinematics and of pose times grasp.
+    limit_margin : (K, 2)
+        Least distance of a joint from its limits [rad]; negative outside.
+    collision_margin : (K, 2)
+        Least (distance - required clearance) over all pairs of bodies [m]; negative if a plan's claim is false.
+    nearest : (K, 2) nested tuple of str
+        The pair of bodies with that margin.
+    """
+
+    position_error: FloatArray
+    rotation_error: FloatArray
+    limit_margin: FloatArray
+    collision_margin: FloatArray
+    nearest: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """The recomputed proof of a plan.
+
+    Attributes
+    ----------
+    transitions : tuple of TransitionResiduals
+    placement_error : (N,)
+        Distance of each intermediate pose from its stable placement moved by its planar parameters [m or rad].
+    problems : tuple of str
+        One sentence for each claim that does not hold; empty if the plan is proved.
+    """
+
+    transitions: tuple[TransitionResiduals, ...]
+    placement_error: FloatArray
+    problems: tuple[str, ...]
+
+    @property
+    def hold(self) -> bool:
+        """Whether every claim of the plan was confirmed."""
+        return not self.problems
+
+
+def compute_residuals(plan: RegraspPlan) -> Residuals:
+    """Recompute every claim of `plan`; see `RegraspPlan.residuals`."""
+    scene = _Scene(plan.problem)
+    problems: list[str] = []
+    if plan.solved and len(plan.transitions) != len(plan.poses) - 1:
+        problems.append(f"the plan has {len(plan.poses)} poses but {len(plan.transitions)} transitions")
+    placement_error = _placement_errors(plan, problems)
+    transitions = []
+    for i, transition in enumerate(plan.transitions):
+        ends = plan.poses[i : i + 2]
+        residuals = _transition(scene, transition, ends)
+        transitions.append(residuals)
+        problems += [f"transition {i}: {text}" for text in _violations(transition, residuals)]
+    return Residuals(tuple(transitions), placement_error, tuple(problems))
+
+
+def _placement_errors(plan: RegraspPlan, problems: list[str]) -> FloatArray:
+    """Return how far intermediate poses are from stable placements inside the workspace; append what is wrong."""
+    errors = []
+    low, high = plan.problem.workcell.bounds.array
+    for i, (T, m, xi) in enumerate(zip(plan.poses[1:-1], plan.placements, plan.xi, strict=True), start=1):
+        if not 0 <= m < len(plan.problem.placements):
+            problems.append(f"pose {i} names placement {m}, which does not exist")
+            errors.append(np.inf)
+            continue
+        c, s = np.cos(xi[2]), np.sin(xi[2])
+        planar = np.array([[c, -s, 0, xi[0]], [s, c, 0, xi[1]], [0, 0, 1, 0], [0, 0, 0, 1.0]])
+        error = max(float(e) for e in pose_distance(planar @ plan.problem.placements[m].pose, T))
+        errors.append(error)
+        if error > PLACEMENT_TOLERANCE:
+            problems.append(f"pose {i} is {error:.2g} away from stable placement {m}")
+        if (xi[:2] < low - PLACEMENT_TOLERANCE).any() or (xi[:2] > high + PLACEMENT_TOLERANCE).any():
+            problems.append(f"pose {i} lies outside the workspace")
+    return np.array(errors)
+
+
+def _transition(scene: _Scene, transition: Transition, ends: FloatArray) -> TransitionResiduals:
+    robot, grasps = scene.problem.workcell.robot, scene.problem.grasps
+    count = len(transition.grasp_ids)
+    position, rotation, limit, collision = (np.zeros((count, 2)) for _ in range(4))
+    nearest = []
+    for k, grasp_id in enumerate(transition.grasp_ids.tolist()):
+        for side, (T, q) in enumerate(zip(ends, (transition.q_pick[k], transition.q_place[k]), strict=True)):
+            arm, T_world_tcp = scene.arm_at(q)
+            wanted = T @ grasps.T_object_tcp[grasp_id]
+            position[k, side], rotation[k, side] = pose_distance(T_world_tcp, wanted)
+            limit[k, side] = min((q - robot.lower).min(), (robot.upper - q).min())
+            collision[k, side], pair = scene.least_margin(arm, T_world_tcp, T, grasp_id)
+            nearest.append(pair)
+    return TransitionResiduals(position, rotation, limit, collision, tuple(nearest))
+
+
+def _violations(transition: Transition, residuals: TransitionResiduals) -> list[str]:
+    texts = []
+    if len(transition.grasp_ids) == 0:
+        texts.append("no grasp is shared by its two poses")
+    checks = (
+        ("the arm misses the grasp by {:.2g} m", residuals.position_error, FK_POSITION_TOLERANCE, 1),
+        ("the arm misses the grasp by {:.2g} rad", residuals.rotation_error, FK_ROTATION_TOLERANCE, 1),
+        ("a joint is {:.2g} rad beyond its limit", residuals.limit_margin, JOINT_LIMIT_TOLERANCE, -1),
+        (
+            "bodies are {:.2g} m nearer than their clearance",
+            residuals.collision_margin,
+            CLEARANCE_TOLERANCE,
+            -1,
+        ),
+    )
+    for text, values, tolerance, sign in checks:
+        for k, side in zip(*np.nonzero(~(sign * values <= tolerance)), strict=True):
+            which = f"grasp {transition.grasp_ids[k]} at its {('pick', 'place')[side]}"
+            detail = f" ({' and '.join(residuals.nearest[2 * k + side])})" if "bodies" in text else ""
+            texts.append(f"{which}: {text.format(sign * values[k, side])}{detail}")
+    return texts
+
+
+class _Scene:
+    """The bodies of a problem, built here once more and from nothing but its data."""
+
+    def __init__(self, problem: RegraspProblem) -> None:
+        cell = problem.workcell
+        self.problem = problem
+        self.data = cell.robot.model.createData()
+        self.object = mesh_geometry(problem.object.vertices, problem.object.faces)
+        shapes = [cell.table.shape, *cell.obstacles]
+        self.fixed = [Body(s.name, shape_geometry(s), s.pose) for s in shapes]
+
+    def arm_at(self, q: FloatArray) -> tuple[list[Body], FloatArray]:
+        """Return the arm's bodies and the TCP (4, 4) in the world at configuration `q` (dof,), by Pinocchio."""
+        cell, robot, data = self.problem.workcell, self.problem.workcell.robot, self.data
+        pin.framesForwardKinematics(robot.model, data, q)
+        bodies = []
+        for item in robot.collision.geometryObjects:
+            T = cell.T_world_base @ (data.oMi[item.parentJoint] * item.placement).homogeneous
+            bodies.append(Body(item.name, item.geometry, T))
+        T_base_tip = data.oMf[robot.model.getFrameId(robot.tip_frame)].homogeneous
+        return bodies, cell.T_world_base @ T_base_tip @ cell.end_effector.T_flange_tcp
+
+    def least_margin(
+        self, arm: list[Body], T_world_tcp: FloatArray, T: FloatArray, grasp_id: int
+    ) -> tuple[float, tuple[str, str]]:
+        """Return the least (distance - required clearance) over all pairs of bodies [m], and that pair."""
+        cell = self.problem.workcell
+        joints = [item.parentJoint for item in cell.robot.collision.geometryObjects]
+        palm, closed, opened = self._gripper(T_world_tcp @ invert(cell.end_effector.T_flange_tcp), grasp_id)
+        gripper = (*palm, *closed, *opened)
+        held = Body("object", self.object, T)
+        moving = [body for body, joint in zip(arm, joints, strict=True) if joint > 0]
+        before_tip = [body for body, joint in zip(arm, joints, strict=True) if joint < cell.robot.dof]
+        clearance = cell.clearance
+        pairs = [(a, b, clearance.arm) for a in moving for b in (*self.fixed, held)]
+        pairs += [(a, b, clearance.gripper) for a in gripper for b in self.fixed]
+        pairs += [(a, held, 0.0) for a in (*palm, *opened)]
+        pairs += [(a, b, clearance.self_collision) for a in gripper for b in before_tip]
+        pairs += [(arm[i], arm[j], clearance.self_collision) for i, j in cell.robot.self_collision_pairs()]
+        pairs += [(held, b, 0.0) for b in self.fixed[1:]]
+        margins = [_distance(a, b) - required for a, b, required in pairs]
+        worst = int(np.argmin(margins))
+        return margins[worst], (pairs[worst][0].name, pairs[worst][1].name)
+
+    def _gripper(self, T_world_flange: FloatArray, grasp_id: int) -> tuple[list[Body], ...]:
+        """Return the palm, the fingers at the grasp width, and the fingers at the approach width."""
+        effector, width = self.problem.workcell.end_effector, float(self.problem.grasps.width[grasp_id])
+        groups = (
+            effector.body,
+            effector.finger_boxes(width),
+            effector.finger_boxes(width + 2 * effector.pre_opening),
+        )
+        return tuple(
+            [Body(f"gripper {s.name}", shape_geometry(s), T_world_flange @ s.pose) for s in group] for group in groups
+        )
+
+
+def _distance(a: Body, b: Body) -> float:
+    transforms = [coal.Transform3s(body.T_world[:3, :3], body.T_world[:3, 3]) for body in (a, b)]
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    return float(coal.distance(a.geometry, transforms[0], b.geometry, transforms[1], request, result))

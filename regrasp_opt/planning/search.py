@@ -1,0 +1,269 @@
+"""`solve_sequence`: the fewest intermediate poses such that all neighbours share a grasp (Alg. 1, with hard checks).
+
+For N = 0, 1, ... the start points of a recipe are refined, ranked by ``J_seq`` and proved in that order; the first
+proof ends the search. A refiner is local, so with lattice starts the remaining lattice chains are proved as they are
+before N grows.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from regrasp_opt.connectivity import CostOptions, SequenceObjective, exact_energy, pair_score
+from regrasp_opt.conventions import FloatArray
+from regrasp_opt.errors import OptionError, UnknownNameError
+from regrasp_opt.planning.ends import checked_end
+from regrasp_opt.planning.plan import RegraspPlan, Status
+from regrasp_opt.planning.problem import RegraspProblem
+from regrasp_opt.planning.verification import PoseKnowledge, enumerate_transition, prove_sequence
+from regrasp_opt.solvers import (
+    Candidates,
+    LangevinRefiner,
+    LatticeRefiner,
+    NlpRefiner,
+    Refiner,
+    lattice_starts,
+    random_starts,
+)
+
+MAX_REGRASPS = 8
+REFINED_STARTS = 6
+"""Lattice chains that are refined for each N."""
+PROVED_CHAINS = 400
+"""Lattice chains that are proved unrefined for each N if no refined one was."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A refiner, where its start points come from, and how many candidates are proved (``K_top`` of Alg. 2)."""
+
+    refiner: Refiner
+    starts: str = "lattice"
+    count: int = REFINED_STARTS
+    proved: int = REFINED_STARTS
+    fallback: int = PROVED_CHAINS
+
+
+RECIPES: dict[str, Callable[[], Recipe]] = {
+    "ipopt": lambda: Recipe(NlpRefiner()),
+    "langevin": lambda: Recipe(LangevinRefiner(), starts="random", count=1000, proved=50, fallback=0),
+    "lattice": lambda: Recipe(LatticeRefiner(), count=PROVED_CHAINS, proved=PROVED_CHAINS, fallback=0),
+}
+
+
+def solve_sequence(
+    problem: RegraspProblem,
+    start: Any,
+    goal: Any,
+    refiner: str | Refiner | Recipe = "ipopt",
+    *,
+    max_regrasps: int = 5,
+    seed: int = 0,
+    time_limit: float | None = None,
+    options: CostOptions | None = None,
+) -> RegraspPlan:
+    """Plan from `start` to `goal` with as few regrasps as possible.
+
+    Parameters
+    ----------
+    problem : RegraspProblem
+    start, goal : (4, 4) array_like
+        T_world_object; the object rests on the table at both.
+    refiner : {"ipopt", "langevin", "lattice"} or Refiner or Recipe
+        What improves candidate sequences. ``ipopt`` refines lattice chains, ``langevin`` is the paper's method,
+        ``lattice`` does not refine. Any object with the `Refiner` protocol gets lattice chains.
+    max_regrasps : int
+        Largest number N of intermediate poses.
+    seed : int
+        The same seed gives the same plan on the same machine.
+    time_limit : float, optional
+        Seconds after which the search gives up between two candidates.
+    options : CostOptions, optional
+        Parameters of ``J_seq``; the paper's by default.
+
+    Returns
+    -------
+    RegraspPlan
+        Its status says how planning ended; SOLVED means that every transition was proved.
+
+    Raises
+    ------
+    PoseError
+        If `start` or `goal` cannot be a pose of the object in this workcell.
+    OptionError, UnknownNameError
+        For `max_regrasps` below 0 or an unknown refiner.
+    ModelError
+        If no energy was prepared for the problem.
+    """
+    recipe = _recipe(refiner)
+    if not isinstance(max_regrasps, (int, np.integer)) or not 0 <= max_regrasps <= MAX_REGRASPS:
+        raise OptionError(f"max_regrasps is {max_regrasps}; give a whole number from 0 to {MAX_REGRASPS}")
+    if time_limit is not None and not time_limit > 0:
+        raise OptionError(f"time_limit is {time_limit}; give a positive number of seconds")
+    clock = _Clock(time_limit)
+    T_start = checked_end(start, "start", problem.object, problem.workcell)
+    T_goal = checked_end(goal, "goal", problem.object, problem.workcell)
+    with clock.timed("ends"):
+        ends = [PoseKnowledge(problem.checker, T) for T in (T_start, T_goal)]
+        feasible = [end.all() for end in ends]
+    search = _Search(problem, recipe, ends, options or CostOptions(), seed, clock)
+    for knowledge, status in zip(feasible, (Status.START_INFEASIBLE, Status.GOAL_INFEASIBLE), strict=True):
+        if not knowledge.any():
+            return search.result(status)
+    return search.run(int(max_regrasps))
+
+
+def _recipe(refiner: Any) -> Recipe:
+    if isinstance(refiner, Recipe):
+        return refiner
+    if isinstance(refiner, str):
+        if refiner not in RECIPES:
+            raise UnknownNameError("refiner", refiner, RECIPES)
+        return RECIPES[refiner]()
+    if not callable(getattr(refiner, "refine", None)):
+        raise OptionError("the refiner has no method 'refine'; give one of 'ipopt', 'langevin', 'lattice' or a Refiner")
+    return Recipe(refiner)
+
+
+@dataclass
+class _Clock:
+    limit: float | None
+    seconds: dict[str, float] = field(default_factory=dict)
+    began: float = field(default_factory=time.perf_counter)
+
+    def timed(self, name: str) -> _Timer:
+        return _Timer(self, name)
+
+    @property
+    def over(self) -> bool:
+        return self.limit is not None and time.perf_counter() - self.began > self.limit
+
+    def report(self) -> dict[str, float]:
+        return {**self.seconds, "total": time.perf_counter() - self.began}
+
+
+class _Timer:
+    def __init__(self, clock: _Clock, name: str) -> None:
+        self._clock, self._name = clock, name
+
+    def __enter__(self) -> None:
+        self._began = time.perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        spent = time.perf_counter() - self._began
+        self._clock.seconds[self._name] = self._clock.seconds.get(self._name, 0.0) + spent
+
+
+class _Search:
+    """Iterative deepening for one start and goal."""
+
+    def __init__(
+        self,
+        problem: RegraspProblem,
+        recipe: Recipe,
+        ends: list[PoseKnowledge],
+        options: CostOptions,
+        seed: int,
+        clock: _Clock,
+    ) -> None:
+        self.problem, self.recipe, self.ends, self.clock, self.seed = problem, recipe, ends, clock, seed
+        self.options = options
+        self.stats: list[dict[str, Any]] = []
+
+    def run(self, max_regrasps: int) -> RegraspPlan:
+        start, goal = self.ends
+        if (start.all() & goal.all()).any():
+            cost = float(pair_score(exact_energy(start.all()), exact_energy(goal.all()), self.options.alpha))
+            return self.result(Status.SOLVED, cost=cost)
+        for num_regrasps in range(1, max_regrasps + 1):
+            found = self._at_depth(num_regrasps)
+            if found is not None:
+                return found
+            if self.clock.over:
+                return self.result(Status.TIME_LIMIT)
+        return self.result(Status.NOT_FOUND)
+
+    def _at_depth(self, num_regrasps: int) -> RegraspPlan | None:
+        """Return the plan with `num_regrasps` intermediate poses, or None."""
+        objective, recipe = self.objective, self.recipe
+        rng = np.random.default_rng([self.seed, num_regrasps])
+        with self.clock.timed("starts"):
+            if recipe.starts == "random":
+                chains = random_starts(objective, num_regrasps, recipe.count, rng)
+            else:
+                wanted = recipe.count + recipe.fallback
+                chains = lattice_starts(self.problem.lattice, objective, num_regrasps, wanted, rng)
+        with self.clock.timed("refine"):
+            refined = recipe.refiner.refine(objective, chains.take(slice(0, recipe.count)), rng)
+        entry = {"num_regrasps": num_regrasps, "refiner": recipe.refiner.name, **refined.stats}
+        self.stats.append(entry)
+        ranked = refined.candidates.best(recipe.proved)
+        for source, candidates in (("refined", ranked), ("lattice", chains.take(slice(0, recipe.fallback)))):
+            for index in range(len(candidates)):
+                if self.clock.over:
+                    return None
+                with self.clock.timed("verify"):
+                    knowledge = self._prove(objective, candidates, index)
+                if knowledge is not None:
+                    entry |= {"accepted": source, "rank": index}
+                    return self._plan(objective, candidates, index, knowledge)
+        return None
+
+    def _prove(self, objective: SequenceObjective, candidates: Candidates, index: int) -> list[PoseKnowledge] | None:
+        poses = objective.poses(candidates.placements[index], candidates.xi[index])
+        if any(self.problem.object_collides(T) for T in poses):
+            return None
+        energies = objective.chain(objective.energy(poses)[None])[0]
+        chain = [self.ends[0], *(PoseKnowledge(self.problem.checker, T) for T in poses), self.ends[1]]
+        return chain if prove_sequence(chain, energies) else None
+
+    def _plan(
+        self, objective: SequenceObjective, candidates: Candidates, index: int, chain: list[PoseKnowledge]
+    ) -> RegraspPlan:
+        picked = candidates.take(slice(index, index + 1))
+        cost = float(objective.cost(picked.placements, picked.xi)[0])
+        return self.result(Status.SOLVED, cost=cost, chain=chain, placements=picked.placements[0], xi=picked.xi[0])
+
+    @property
+    def objective(self) -> SequenceObjective:
+        start, goal = (exact_energy(end.all()) for end in self.ends)
+        problem = self.problem
+        return SequenceObjective(
+            problem.energy, problem.placement_poses, start, goal, problem.workcell.bounds.array, self.options
+        )
+
+    def result(
+        self,
+        status: Status,
+        *,
+        cost: float = float("nan"),
+        chain: list[PoseKnowledge] | None = None,
+        placements: Any = (),
+        xi: Any = (),
+    ) -> RegraspPlan:
+        """Return the plan, its transitions enumerated if it is solved."""
+        chain = chain or self.ends
+        transitions = []
+        if status is Status.SOLVED:
+            with self.clock.timed("transitions"):
+                pairs = itertools.pairwise(chain)
+                transitions = [enumerate_transition(self.problem.checker, a, b) for a, b in pairs]
+        poses: FloatArray = np.array([knowledge.T for knowledge in chain])
+        return RegraspPlan(
+            status=status,
+            poses=poses,
+            placements=np.array(placements, dtype=np.int64),
+            xi=np.array(xi, dtype=np.float64).reshape(-1, 3),
+            transitions=tuple(transitions),
+            cost=cost,
+            timings=self.clock.report(),
+            refiner_stats=self.stats,
+            seed=self.seed,
+            problem=self.problem,
+        )

@@ -1,0 +1,96 @@
+"""Hard verification: what turns a promising sequence of poses into a plan.
+
+`PoseKnowledge` remembers the exact checks of one pose, so that no (pose, grasp) pair is checked twice. A transition is
+proved with as few checks as possible, the most promising grasps first; only the accepted plan has all of its shared
+grasps enumerated, with the joint configurations to pick and place them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
+from regrasp_opt.feasibility import FeasibilityChecker
+from regrasp_opt.planning.plan import Transition
+
+_CHUNK = 8
+"""Grasps that are checked at once before looking whether one sufficed."""
+
+
+class PoseKnowledge:
+    """What is known exactly about the G grasps at one object pose `T` (4, 4)."""
+
+    def __init__(self, checker: FeasibilityChecker, T: FloatArray) -> None:
+        self.T = T
+        self._checker = checker
+        self._known = np.zeros(len(checker.grasps), dtype=bool)
+        self._feasible = np.zeros(len(checker.grasps), dtype=bool)
+
+    def feasible(self, grasp_ids: IntArray) -> BoolArray:
+        """Return the exact feasibility (K,) of `grasp_ids` (K,), checking those that are not known yet."""
+        missing = grasp_ids[~self._known[grasp_ids]]
+        if len(missing):
+            self._feasible[missing] = self._checker.feasible(self.T, missing)
+            self._known[missing] = True
+        return self._feasible[grasp_ids]
+
+    def all(self) -> BoolArray:
+        """Return the exact feasibility (G,) of every grasp."""
+        return self.feasible(np.arange(len(self._known)))
+
+    def possible(self) -> BoolArray:
+        """Return the grasps (G,) that are feasible or not yet known to be infeasible."""
+        return self._feasible | ~self._known
+
+
+def share_a_grasp(a: PoseKnowledge, b: PoseKnowledge, promise: FloatArray) -> bool:
+    """Return whether some grasp is feasible at both poses; grasps with low `promise` (G,) are tried first."""
+    ids = np.flatnonzero(a.possible() & b.possible())
+    ids = ids[np.argsort(promise[ids], kind="stable")]
+    for first in range(0, len(ids), _CHUNK):
+        chunk = ids[first : first + _CHUNK]
+        chunk = chunk[a.feasible(chunk)]
+        if len(chunk) and b.feasible(chunk).any():
+            return True
+    return False
+
+
+def prove_sequence(poses: list[PoseKnowledge], energies: FloatArray) -> bool:
+    """Return whether every neighbouring pair of `poses` shares a grasp; `energies` (N+2, G) say where to look first.
+
+    The two ends come first: their feasible grasps are known, so they reject for the fewest checks.
+    """
+    pairs = sorted(range(len(poses) - 1), key=lambda i: (i not in (0, len(poses) - 2), i))
+    return all(share_a_grasp(poses[i], poses[i + 1], energies[i] + energies[i + 1]) for i in pairs)
+
+
+def enumerate_transition(checker: FeasibilityChecker, a: PoseKnowledge, b: PoseKnowledge) -> Transition:
+    """Return the transition between two poses with all shared grasps, their configurations and clearances."""
+    dof = checker.workcell.robot.dof
+    ids, picks, places, clearances = [], [], [], []
+    for grasp_id in np.flatnonzero(a.all() & b.all()).tolist():
+        q_pick, q_place = nearest_pair(
+            checker, checker.configurations(a.T, grasp_id), checker.configurations(b.T, grasp_id)
+        )
+        ids.append(grasp_id)
+        picks.append(q_pick)
+        places.append(q_place)
+        clearances.append(min(checker.clearance(a.T, grasp_id, q_pick), checker.clearance(b.T, grasp_id, q_place)))
+    shape = (len(ids), dof)
+    return Transition(
+        np.array(ids, dtype=np.int64),
+        np.array(picks, dtype=np.float64).reshape(shape),
+        np.array(places, dtype=np.float64).reshape(shape),
+        np.array(clearances, dtype=np.float64),
+    )
+
+
+def nearest_pair(checker: FeasibilityChecker, picks: FloatArray, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the pick (dof,) and place (dof,) configurations with the smallest largest joint move between them.
+
+    Places are also considered with whole turns added, where the joint limits allow it.
+    """
+    turned = np.concatenate([checker.workcell.robot.equivalents(q) for q in places])
+    move = np.abs(picks[:, None] - turned[None]).max(axis=2)
+    i, j = np.unravel_index(int(move.argmin()), move.shape)
+    return picks[i], turned[j]
