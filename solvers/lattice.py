@@ -1,8 +1,9 @@
 """A lattice of poses with all their energies: chains of lattice poses as start points, or as plans of their own.
 
 With ``P = exp(-E / alpha)`` (poses x grasps) the pair score is an inner product,
-``Q_pair(a, b) = -alpha log(P_a . P_b)`` (Eq. 4), so every one-step bridge costs two matrix-vector products and longer chains are dynamic programming over
-blocks of ``P P^T``. Memory: L x G float32 for the lattice, and a few blocks of `MIDDLE` x `MIDDLE` for chains.
+``Q_pair(a, b) = -alpha log(P_a . P_b)`` (Eq. 4), so every one-step bridge costs two matrix-vector products and longer
+chains are dynamic programming over blocks of ``P P^T``. Memory: L x G float32 for the lattice, and a few blocks of
+`MIDDLE` x `MIDDLE` for chains.
 
 A pair with ``m = P_a . P_b`` expected shared grasps has at least one with probability about ``1 - exp(-m)``; chains are
 ranked by the negative log of that, which does not let an abundant pair make up for an empty one.
@@ -107,7 +108,7 @@ def lattice_starts(
     count: int,
     rng: np.random.Generator,
 ) -> Candidates:
-    """Return up to `count` chains of `num_regrasps` lattice poses, the most promising, mutually different ones first."""
+    """Return up to `count` chains of `num_regrasps` lattice poses, the most promising and different ones first."""
     alpha = objective.options.alpha
     P = np.exp(-lattice.energies / alpha)
     reach = [P @ np.exp(-end / alpha).astype(np.float32) for end in (objective.start_energy, objective.goal_energy)]

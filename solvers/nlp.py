@@ -1,8 +1,12 @@
 """`J_seq` as a nonlinear program over ``xi``, solved by Ipopt or another CasADi plugin.
 
-The placements and the energies at both ends are parameters, so one solver object serves all problems with the same
-energy and the same N; objects are kept for as long as the energy lives. Neither a CasADi solver nor MUMPS may be used
-from two threads at once: a lock sees to it.
+The first layers at the chosen placements and the energies at both ends are parameters, so one solver object serves
+all problems with the same energy, N and number of grasps; objects are kept for as long as the energy lives.
+
+With one regrasp every pair has a fixed end, and a grasp that is known to be infeasible at both ends adds at most
+``exp(-BLOCKED / alpha)`` to a sum (Eq. 4): such grasps are left out, which is where most of the work goes.
+
+Neither a CasADi solver nor MUMPS may be used from two threads at once: a lock sees to it.
 """
 
 from __future__ import annotations
@@ -15,9 +19,9 @@ from weakref import WeakKeyDictionary
 import casadi as ca
 import numpy as np
 
-from regrasp_opt.connectivity import CostOptions, SequenceObjective
-from regrasp_opt.connectivity.casadi_costs import placement_parameter, sequence_functions
-from regrasp_opt.conventions import FloatArray
+from regrasp_opt.connectivity import BLOCKED, CostOptions, SequenceObjective
+from regrasp_opt.connectivity.casadi_costs import layers_parameter, sequence_functions
+from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.energy.casadi_energy import CasadiEnergy
 from regrasp_opt.energy.model import GraspEnergy
 from regrasp_opt.errors import OptionError
@@ -25,10 +29,11 @@ from regrasp_opt.solvers.base import Candidates, Refinement, wrap_yaw
 
 Plugin = Literal["ipopt", "sqpmethod"]
 Hessian = Literal["exact", "limited-memory"]
+ACTIVE_SIZES = (16, 32, 48, 64, 96, 128, 192)
+"""Numbers of grasps for which solvers are built; more than the last takes all grasps."""
 CONVERGED = {"Solve_Succeeded", "Solved_To_Acceptable_Level"}
 
 _lock = threading.RLock()
-_expressions: WeakKeyDictionary[GraspEnergy, CasadiEnergy] = WeakKeyDictionary()
 _solvers: WeakKeyDictionary[GraspEnergy, dict[Any, Any]] = WeakKeyDictionary()
 
 
@@ -70,16 +75,17 @@ class NlpRefiner:
         converged = improved = 0
         iterations: list[int] = []
         statuses: dict[str, int] = {}
+        num_regrasps = starts.xi.shape[1]
+        ids, ends = _active_grasps(objective, num_regrasps)
+        low, high = _variable_bounds(objective, num_regrasps)
         with _lock:
-            solver, cost_function = self._solver(objective, starts.xi.shape[1])
-            ends = np.stack([objective.start_energy, objective.goal_energy], axis=1)
-            bounds = _variable_bounds(objective, starts.xi.shape[1])
+            solver, cost_function = self._solver(objective, num_regrasps, len(ids))
             for b in range(len(starts)):
-                parameters = placement_parameter(objective.placements[starts.placements[b]])
-                x0 = np.clip(starts.xi[b].T, *[limit.reshape(-1, 3).T for limit in bounds])
-                start_cost = float(cost_function(x0, parameters, ends))
-                packed = np.concatenate([parameters.T.ravel(), ends.T.ravel()])
-                solution = solver(x0=x0.T.ravel(), p=packed, lbx=bounds[0], ubx=bounds[1])
+                layers = layers_parameter(objective.energy, objective.placements[starts.placements[b]], ids)
+                x0 = np.clip(starts.xi[b].ravel(), low, high)
+                start_cost = float(cost_function(x0.reshape(-1, 3).T, layers, ends))
+                packed = np.concatenate([layers.T.ravel(), ends.T.ravel()])
+                solution = solver(x0=x0, p=packed, lbx=low, ubx=high)
                 stats = solver.stats()
                 status = str(stats["return_status"])
                 statuses[status] = statuses.get(status, 0) + 1
@@ -88,10 +94,11 @@ class NlpRefiner:
                 found = float(solution["f"])
                 better = np.isfinite(found) and found <= start_cost
                 improved += better
-                xi[b] = np.array(solution["x"]).reshape(-1, 3) if better else x0.T
+                xi[b] = np.array(solution["x"]).reshape(-1, 3) if better else x0.reshape(-1, 3)
                 cost[b] = found if better else start_cost
         stats = {
             "solves": len(starts),
+            "grasps": len(ids),
             "converged": converged,
             "improved": improved,
             "iterations": iterations,
@@ -99,21 +106,24 @@ class NlpRefiner:
         }
         return Refinement(Candidates(starts.placements, wrap_yaw(xi), cost), stats)
 
-    def _solver(self, objective: SequenceObjective, num_regrasps: int) -> tuple[Any, Any]:
+    def _solver(self, objective: SequenceObjective, num_regrasps: int, grasps: int) -> tuple[Any, Any]:
         known = _solvers.setdefault(objective.energy, {})
-        key = (self, tuple(sorted(self.extra_options.items())), objective.options, num_regrasps)
+        key = (self, tuple(sorted(self.extra_options.items())), objective.options, num_regrasps, grasps)
         if key not in known:
-            known[key] = self._build(objective.energy, objective.options, num_regrasps)
+            expressions = CasadiEnergy(objective.energy.model, grasps)
+            known[key] = self._build(expressions, objective.options, num_regrasps)
         return known[key]
 
-    def _build(self, energy: GraspEnergy, options: CostOptions, num_regrasps: int) -> tuple[Any, Any]:
-        functions = sequence_functions(casadi_energy(energy), options, num_regrasps)
+    def _build(self, energy: CasadiEnergy, options: CostOptions, num_regrasps: int) -> tuple[Any, Any]:
+        functions = sequence_functions(energy, options, num_regrasps)
+        columns = 3 * energy.count * num_regrasps
+        size = energy.model.hidden * columns
         x = ca.MX.sym("x", 3 * num_regrasps)
-        p = ca.MX.sym("p", 16 * num_regrasps + 2 * len(energy))
+        p = ca.MX.sym("p", size + 2 * energy.count)
         inputs = [
             ca.reshape(x, 3, num_regrasps),
-            ca.reshape(p[: 16 * num_regrasps], 4, 4 * num_regrasps),
-            ca.reshape(p[16 * num_regrasps :], len(energy), 2),
+            ca.reshape(p[:size], energy.model.hidden, columns),
+            ca.reshape(p[size:], energy.count, 2),
         ]
         cost, gradient = functions.gradient(*inputs)
         nlp = {"x": x, "p": p, "f": functions.cost(*inputs)}
@@ -167,12 +177,18 @@ class NlpRefiner:
         }
 
 
-def casadi_energy(energy: GraspEnergy) -> CasadiEnergy:
-    """Return the CasADi expressions of `energy`, built once for as long as it lives."""
-    with _lock:
-        if energy not in _expressions:
-            _expressions[energy] = CasadiEnergy(energy)
-        return _expressions[energy]
+def _active_grasps(objective: SequenceObjective, num_regrasps: int) -> tuple[IntArray, FloatArray]:
+    """Return the grasps (A,) that can matter and their energies (A, 2) at both ends.
+
+    A is rounded up to one of a few sizes, so that solvers can be kept; what fills it up is blocked at both ends.
+    """
+    ends = np.stack([objective.start_energy, objective.goal_energy], axis=1)
+    useful = np.flatnonzero((ends < BLOCKED).any(axis=1))
+    size = next((n for n in ACTIVE_SIZES if n >= len(useful)), len(ends))
+    if num_regrasps > 1 or size >= len(ends):
+        return np.arange(len(ends)), ends
+    order = np.argsort((ends >= BLOCKED).all(axis=1), kind="stable")[:size]
+    return order, ends[order]
 
 
 def _variable_bounds(objective: SequenceObjective, num_regrasps: int) -> tuple[FloatArray, FloatArray]:

@@ -1,8 +1,9 @@
 """`Q_pair` (Eq. 4) and `J_seq` (Eq. 5) as CasADi functions of planar parameters, with exact derivatives.
 
 `sequence_functions` is what a solver uses: value, gradient and Hessian of ``J_seq`` for N intermediate poses whose
-placements, and the energies at start and goal, are parameters, so that one solver object serves every problem with
-the same N. Writing ``w_i`` for the softmin weights of pair i and ``c_i = dJ/dQ_i``, the chain rule gives
+first layers, and the energies at start and goal, are parameters, so that one solver object serves every problem with
+the same N and the same number of grasps. Writing ``w_i`` for the softmin weights of pair i and ``c_i = dJ/dQ_i``,
+the chain rule gives
 
     dJ/dE_i       = omega_i = c_{i-1} w_{i-1} + c_i w_i
     Hessian       = sum_i sum_g omega_ig d2E_ig                        (block diagonal, one sweep a pose)
@@ -22,6 +23,7 @@ import numpy as np
 from regrasp_opt.connectivity.costs import CostOptions
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.energy.casadi_energy import CasadiEnergy
+from regrasp_opt.energy.model import GraspEnergy, PlanarLayer
 from regrasp_opt.errors import OptionError
 
 
@@ -34,7 +36,7 @@ class ConnectivityFunctions(NamedTuple):
 
 
 class SequenceFunctions(NamedTuple):
-    """Value, gradient and Hessian of ``J_seq``: inputs ``xi`` (3, N), ``placements`` (4, 4N), ``ends`` (G, 2)."""
+    """Value, gradient and Hessian of ``J_seq``: inputs ``xi`` (3, N), ``layers`` (H, 3 G N), ``ends`` (G, 2)."""
 
     cost: Any
     gradient: Any
@@ -63,12 +65,12 @@ def cost_of_scores(scores: Sequence[Any], lambda_reg: float) -> Any:
 
 def plain_sequence_cost(energy: CasadiEnergy, options: CostOptions, num_regrasps: int) -> Any:
     """Return ``J_seq`` as a function built without any derivative structure: the reference for `sequence_functions`."""
-    xi, placements, ends = _symbols(energy, num_regrasps)
-    energies = [energy.planar_expression(xi[:, i], placements[:, 4 * i : 4 * i + 4]) for i in range(num_regrasps)]
+    xi, layers, ends = _symbols(energy, num_regrasps)
+    energies = [energy.planar_expression(layer, xi[:, i]) for i, layer in enumerate(_split(energy, layers))]
     chain = [ends[:, 0], *energies, ends[:, 1]]
     scores = [pair_score(a, b, options.alpha) for a, b in itertools.pairwise(chain)]
     cost = cost_of_scores(scores, options.regularisation)
-    return ca.Function("J_seq_plain", [xi, placements, ends], [cost], ["xi", "placements", "ends"], ["J"])
+    return ca.Function("J_seq_plain", [xi, layers, ends], [cost], ["xi", "layers", "ends"], ["J"])
 
 
 def sequence_functions(energy: CasadiEnergy, options: CostOptions, num_regrasps: int) -> SequenceFunctions:
@@ -81,9 +83,9 @@ def sequence_functions(energy: CasadiEnergy, options: CostOptions, num_regrasps:
     """
     if options.variant == "Jh":
         raise OptionError("the truncated cost Jh is not differentiable; use variant J or J+ with a gradient solver")
-    xi, placements, ends = inputs = _symbols(energy, num_regrasps)
-    names = ["xi", "placements", "ends"]
-    layers = [energy.planar_layer(placements[:, 4 * i : 4 * i + 4]) for i in range(num_regrasps)]
+    xi, packed, ends = inputs = _symbols(energy, num_regrasps)
+    names = ["xi", "layers", "ends"]
+    layers = _split(energy, packed)
 
     light = [energy.forward(layer, xi[:, i], tangents=False) for i, layer in enumerate(layers)]
     chain = _Chain([ends[:, 0], *(p.energy for p in light), ends[:, 1]], options)
@@ -101,11 +103,7 @@ def sequence_functions(energy: CasadiEnergy, options: CostOptions, num_regrasps:
 
 
 def connectivity_functions(
-    energy: CasadiEnergy,
-    options: CostOptions,
-    start: FloatArray,
-    goal: FloatArray,
-    placements: FloatArray,
+    energy: GraspEnergy, options: CostOptions, start: FloatArray, goal: FloatArray, placements: FloatArray
 ) -> ConnectivityFunctions:
     """Return ``E``, ``Q_pair`` and ``J_seq`` of the chain start, N intermediate poses, goal.
 
@@ -124,12 +122,14 @@ def connectivity_functions(
         mapped, saved and turned into C.
     """
     num_regrasps = len(placements)
+    expressions = CasadiEnergy(energy.model, len(energy), "reference")
     xi = ca.MX.sym("xi", 3, num_regrasps)
-    energies = [energy.planar_expression(xi[:, i], ca.MX(ca.DM(T))) for i, T in enumerate(placements)]
+    layers = [expressions.layer(energy.planar_layer(T)) for T in placements]
+    energies = [expressions.planar_expression(layer, xi[:, i]) for i, layer in enumerate(layers)]
     chain = [ca.MX(ca.DM(start)), *energies, ca.MX(ca.DM(goal))]
     scores = [pair_score(a, b, options.alpha) for a, b in itertools.pairwise(chain)]
     cost = cost_of_scores(scores, options.regularisation)
-    stacked = ca.horzcat(*energies) if energies else ca.MX(energy.count, 0)
+    stacked = ca.horzcat(*energies) if energies else ca.MX(len(energy), 0)
     return ConnectivityFunctions(
         ca.Function("E", [xi], [stacked], ["xi"], ["E"]),
         ca.Function("Q_pair", [xi], [ca.vertcat(*scores)], ["xi"], ["Q"]),
@@ -140,7 +140,7 @@ def connectivity_functions(
 def _symbols(energy: CasadiEnergy, num_regrasps: int) -> list[Any]:
     return [
         ca.MX.sym("xi", 3, num_regrasps),
-        ca.MX.sym("placements", 4, 4 * num_regrasps),
+        ca.MX.sym("layers", energy.model.hidden, 3 * energy.count * num_regrasps),
         ca.MX.sym("ends", energy.count, 2),
     ]
 
@@ -184,6 +184,11 @@ class _Chain:
         return total
 
 
-def placement_parameter(placements: FloatArray) -> FloatArray:
-    """Return placements (N, 4, 4) in the layout (4, 4N) of the functions' ``placements`` input."""
-    return np.concatenate(list(placements), axis=1) if len(placements) else np.zeros((4, 0))
+def layers_parameter(energy: GraspEnergy, placements: FloatArray, grasp_ids: Any = slice(None)) -> FloatArray:
+    """Return the ``layers`` input (H, 3 G N) of the chosen grasps at `placements` (N, 4, 4)."""
+    layers = [np.concatenate(energy.planar_layer(T, grasp_ids)[:3], axis=1) for T in placements]
+    return np.concatenate(layers, axis=1) if layers else np.zeros((energy.model.hidden, 0))
+
+
+def _split(energy: CasadiEnergy, layers: Any) -> list[PlanarLayer]:
+    return [energy.layer_parameter(part) for part in ca.horzsplit(layers, 3 * energy.count)]

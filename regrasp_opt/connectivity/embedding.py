@@ -10,7 +10,6 @@ import numpy as np
 from regrasp_opt.connectivity.casadi_costs import ConnectivityFunctions, connectivity_functions
 from regrasp_opt.connectivity.costs import CostOptions
 from regrasp_opt.conventions import FloatArray, as_pose
-from regrasp_opt.energy.casadi_energy import CasadiEnergy
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
 from regrasp_opt.errors import OptionError
 from regrasp_opt.grasps import GraspSet
@@ -66,8 +65,7 @@ class ProblemEnergy(GraspEnergy):
         if ((numbers < 0) | (numbers >= len(self.placements))).any():
             raise OptionError(f"placements are {numbers.tolist()}; give numbers from 0 to {len(self.placements) - 1}")
         ends = self._end_energies(start, "start"), self._end_energies(goal, "goal")
-        expressions = CasadiEnergy(self)
-        return connectivity_functions(expressions, options or CostOptions(), *ends, self.placements[numbers])
+        return connectivity_functions(self, options or CostOptions(), *ends, self.placements[numbers])
 
     def _end_energies(self, end: Any, name: str) -> FloatArray:
         array = np.asarray(end, dtype=np.float64)

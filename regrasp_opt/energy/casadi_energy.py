@@ -1,10 +1,11 @@
 """The energy of all grasps of one set as CasADi expressions, with the derivative passes that a solver needs.
 
-A pose has three planar parameters, so derivatives are pushed forward for all grasps at once (three tangents beside
-the value, one matrix product a layer) and only the weighted second derivative is pulled back. The plainly built
-expression, differentiated by CasADi, is the reference that tests hold these passes to.
+The first layer at a placement is affine in (x, y, cos theta, sin theta), so it enters as numbers (`PlanarLayer`) and
+everything behind it is one small network for all grasps at once. A pose has three planar parameters: derivatives are
+pushed forward beside the value, one matrix product a layer, and only the weighted second derivative is pulled back.
+The plainly built expression, differentiated by CasADi, is the reference that tests hold these passes to.
 
-Shapes: ``xi`` (3, 1), a placement pose ``T_p`` (4, 4), energies (G, 1), tangents (G, 3).
+Shapes: ``xi`` (3, 1), energies (G, 1), tangents (G, 3), hidden layers (H, G).
 """
 
 from __future__ import annotations
@@ -15,20 +16,10 @@ import casadi as ca
 import numpy as np
 
 from regrasp_opt.energy.activations import casadi_activation
-from regrasp_opt.energy.model import GraspEnergy
+from regrasp_opt.energy.model import EnergyModel, GraspEnergy, PlanarLayer, planar_shift
 
 Blas = Literal["classic", "reference"]
 """CasADi's matrix products: through BLAS, or CasADi's own loops, whose generated C needs no library."""
-
-
-class PlanarLayer(NamedTuple):
-    """The first layer at one placement, (H, G) each: ``z = constant + cosine cos + sine sin + x dx + y dy``."""
-
-    constant: Any
-    cosine: Any
-    sine: Any
-    dx: Any
-    dy: Any
 
 
 class _Layer(NamedTuple):
@@ -54,57 +45,47 @@ class Pass(NamedTuple):
 
 
 class CasadiEnergy:
-    """CasADi expressions of a `GraspEnergy`; its weights and grasps are constants of the graph."""
+    """CasADi expressions of one energy for `count` grasps; its weights are constants of the graph."""
 
-    def __init__(self, energy: GraspEnergy, blas: Blas = "classic") -> None:
+    def __init__(self, model: EnergyModel, count: int, blas: Blas = "classic") -> None:
+        self.model = model
+        self.count = count
         self.blas = blas
-        self.model = energy.model
-        self.count = len(energy)
-        first = energy.first_layer
-        self._pose = [ca.MX(ca.DM(W)) for W in first.pose]
-        self._tcp = [ca.MX(ca.DM(W)) for W in first.tcp]
-        self._constant = ca.MX(ca.DM(first.constant))
-        # Column g of `_grasps[j]` is row j of grasp g, so that row @ g for all grasps is sum_j row[j] * _grasps[j].
-        self._grasps = [ca.MX(ca.DM(np.ascontiguousarray(energy.grasps.T_object_tcp[:, j, :].T))) for j in range(4)]
-        self._weights = [ca.MX(ca.DM(W.astype(np.float64))) for W in self.model.weights[1:]]
-        self._biases = [ca.MX(ca.DM(b.astype(np.float64))) for b in self.model.biases[1:]]
+        self._weights = [ca.MX(ca.DM(W.astype(np.float64))) for W in model.weights[1:]]
+        self._biases = [ca.MX(ca.DM(b.astype(np.float64))) for b in model.biases[1:]]
 
     def product(self, a: Any, b: Any) -> Any:
         """Return the matrix product, by the chosen implementation."""
         return ca.mtimes(a, b, self.blas)
 
-    def _row_response(self, weights_index: int, row: Any) -> Any:
-        """First-layer response (H, G) to one row (1, 4) of an object pose, through that row's weights."""
-        direct = self.product(self._pose[weights_index], row.T)
-        tcp_row = sum(row[j] * self._grasps[j] for j in range(4))  # (4, G)
-        through_tcp = self.product(self._tcp[weights_index], tcp_row) if self.model.features == "tcp" else 0
-        return ca.repmat(direct, 1, self.count) + through_tcp
+    def layer(self, numbers: PlanarLayer) -> PlanarLayer:
+        """Return `numbers` as constants of the graph."""
+        return PlanarLayer(*(ca.MX(ca.DM(part)) for part in numbers))
 
-    def planar_layer(self, T_p: Any) -> PlanarLayer:
-        """Return the first layer at placement `T_p` (4, 4), affine in (x, y, cos theta, sin theta)."""
-        r0, r1, r2 = T_p[0, :], T_p[1, :], T_p[2, :]
-        shift = self._pose[0][:, 3], self._pose[1][:, 3]
-        if self.model.features == "tcp":
-            shift = shift[0] + self._tcp[0][:, 3], shift[1] + self._tcp[1][:, 3]
-        return PlanarLayer(
-            self._constant + self._row_response(2, r2),
-            self._row_response(0, r0) + self._row_response(1, r1),
-            self._row_response(1, r0) - self._row_response(0, r1),
-            ca.repmat(shift[0], 1, self.count),
-            ca.repmat(shift[1], 1, self.count),
-        )
+    def layer_parameter(self, numbers: Any) -> PlanarLayer:
+        """Return the layer whose (constant, cosine, sine) are the columns of the expression `numbers` (H, 3 G)."""
+        shifts = planar_shift(self.model)
+        return PlanarLayer(*ca.horzsplit(numbers, self.count), *(ca.MX(ca.DM(part)) for part in shifts))
 
-    def pose_expression(self, T: Any) -> Any:
+    def planar_expression(self, layer: PlanarLayer, xi: Any) -> Any:
+        """Return the energies (G, 1) at ``dT(xi) @ T_p`` (Eq. 6), plainly built; the reference for `forward`."""
+        return self._plain(self._bottom(layer, xi))
+
+    def pose_expression(self, energy: GraspEnergy, T: Any) -> Any:
         """Return the energies (G, 1) at a full object pose `T` (4, 4), plainly built; CasADi can differentiate it."""
-        z = self._constant
+        first = energy.first_layer
+        z = ca.MX(ca.DM(first.constant))
         for i in range(3):
-            z = z + self._row_response(i, T[i, :])
+            z = z + ca.repmat(self.product(ca.DM(first.pose[i]), T[i, :].T), 1, self.count)
+            if self.model.features == "tcp":
+                rows = [T[i, j] * ca.DM(energy.grasps.T_object_tcp[:, j, :].T) for j in range(4)]
+                z = z + self.product(ca.DM(first.tcp[i]), sum(rows[1:], rows[0]))
         return self._plain(z)
 
-    def planar_expression(self, xi: Any, T_p: Any) -> Any:
-        """Return the energies (G, 1) at ``dT(xi) @ T_p`` (Eq. 6), plainly built; the reference for `forward`."""
-        layer, c, s = self.planar_layer(T_p), ca.cos(xi[2]), ca.sin(xi[2])
-        return self._plain(layer.constant + c * layer.cosine + s * layer.sine + xi[0] * layer.dx + xi[1] * layer.dy)
+    def _bottom(self, layer: PlanarLayer, xi: Any) -> Any:
+        """Return the pre-activation (H, G) of the first layer."""
+        shift = ca.repmat(layer.dx * xi[0] + layer.dy * xi[1], 1, self.count)
+        return layer.constant + ca.cos(xi[2]) * layer.cosine + ca.sin(xi[2]) * layer.sine + shift
 
     def _plain(self, z: Any) -> Any:
         for W, b in zip(self._weights, self._biases, strict=True):
@@ -121,12 +102,10 @@ class CasadiEnergy:
     def forward(self, layer: PlanarLayer, xi: Any, *, tangents: bool) -> Pass:
         """Evaluate the energies at planar parameters `xi`, with their gradients if `tangents`."""
         c, s = ca.cos(xi[2]), ca.sin(xi[2])
-        z = layer.constant + c * layer.cosine + s * layer.sine + xi[0] * layer.dx + xi[1] * layer.dy
-        turns = (
-            c * layer.sine - s * layer.cosine,
-            -(c * layer.cosine + s * layer.sine),
-        )  # first, second in theta
-        moving = [layer.dx, layer.dy, turns[0]] if tangents else []
+        z = self._bottom(layer, xi)
+        turns = c * layer.sine - s * layer.cosine, -(c * layer.cosine + s * layer.sine)  # first, second in theta
+        shift = ca.repmat(layer.dx, 1, self.count), ca.repmat(layer.dy, 1, self.count)
+        moving = [*shift, turns[0]] if tangents else []
         tape = []
         for W, b in zip(self._weights, self._biases, strict=True):
             a = casadi_activation(self.model.activation, z)
@@ -137,7 +116,7 @@ class CasadiEnergy:
         energy, slope, curve = self._output(z.T)
         df = ca.horzcat(*[t.T for t in moving]) if tangents else None
         tangent = ca.repmat(slope, 1, 3) * df if tangents else None
-        return Pass(energy, tangent, slope, curve, df, turns, (layer.dx, layer.dy), tape)
+        return Pass(energy, tangent, slope, curve, df, turns, shift, tape)
 
     def gradient(self, passed: Pass, weights: Any) -> Any:
         """Return ``sum_g weights_g dE_g/dxi`` (3, 1) by one sweep back; needs no tangents."""

@@ -22,7 +22,8 @@ from regrasp_opt.files import atomic_path
 def pose_function(energy: GraspEnergy, blas: Blas = "classic") -> Any:
     """Return `casadi.Function` ``energy(T) -> E`` from a full pose (4, 4) to energies (G, 1)."""
     T = ca.MX.sym("T", 4, 4)
-    return ca.Function("energy", [T], [CasadiEnergy(energy, blas).pose_expression(T)], ["T"], ["E"])
+    expression = CasadiEnergy(energy.model, len(energy), blas).pose_expression(energy, T)
+    return ca.Function("energy", [T], [expression], ["T"], ["E"])
 
 
 def export_casadi(energy: GraspEnergy, path: str | os.PathLike[str]) -> None:

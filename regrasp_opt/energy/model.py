@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -77,6 +77,26 @@ class FirstLayer:
     constant: FloatArray
 
 
+class PlanarLayer(NamedTuple):
+    """The first layer at one placement: ``z = constant + cosine cos + sine sin + dx x + dy y`` (Eq. 6).
+
+    ``constant``, ``cosine`` and ``sine`` are (H, G); ``dx`` and ``dy`` are (H, 1), the same for all grasps.
+    """
+
+    constant: Any
+    cosine: Any
+    sine: Any
+    dx: Any
+    dy: Any
+
+
+def planar_shift(model: EnergyModel) -> tuple[FloatArray, FloatArray]:
+    """Return how the first layer's pre-activation (H, 1) changes with x and with y."""
+    W = model.weights[0].astype(np.float64)
+    x, y = W[:, 3:4], W[:, 7:8]
+    return (x + W[:, 27:28], y + W[:, 31:32]) if model.features == "tcp" else (x, y)
+
+
 def first_layer(model: EnergyModel, grasps: GraspSet) -> FirstLayer:
     """Split the first layer of `model` for `grasps` into its pose-dependent and constant parts, in float64."""
     W = model.weights[0].astype(np.float64)
@@ -115,6 +135,23 @@ class GraspEnergy:
     def fingerprint(self) -> str:
         """Return a hash of the model and the grasps."""
         return content_hash(self.model.fingerprint(), self.grasps.fingerprint())
+
+    def planar_layer(self, T_p: FloatArray, grasp_ids: Any = slice(None)) -> PlanarLayer:
+        """Return the first layer at placement `T_p` (4, 4) for the chosen grasps, in float64."""
+        first = self.first_layer
+        grasps = self.grasps.T_object_tcp[grasp_ids]
+
+        def response(weights_row: int, row: FloatArray) -> FloatArray:
+            direct: FloatArray = (first.pose[weights_row] @ row)[:, None]
+            return direct + first.tcp[weights_row] @ np.einsum("j,gjk->kg", row, grasps)
+
+        r0, r1, r2 = T_p[:3]
+        return PlanarLayer(
+            first.constant[:, grasp_ids] + response(2, r2),
+            response(0, r0) + response(1, r1),
+            response(1, r0) - response(0, r1),
+            *planar_shift(self.model),
+        )
 
     def __call__(self, T: FloatArray, dtype: DTypeLike = np.float64) -> NDArray[Any]:
         """Return the energies (..., G) of all grasps at object poses `T` (..., 4, 4) T_world_object.

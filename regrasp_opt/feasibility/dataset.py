@@ -8,11 +8,11 @@ Validation poses are labelled for every grasp, because calibration needs to know
 from __future__ import annotations
 
 import contextlib
-import os
-import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
 
 import joblib
 import numpy as np
@@ -130,6 +130,8 @@ def label_pairs(
                     f"no grasp of '{task.workcell.end_effector.name}' on '{task.model.name}' is feasible anywhere in "
                     "the workspace; move the workspace nearer to the robot or use another end-effector"
                 )
+    enough = int(np.searchsorted(np.cumsum([b.feasible.sum() for b in blocks]), feasible_wanted)) + 1
+    blocks = blocks[:enough]  # how many were begun depends on the number of workers; how many count does not
     return LabelledPairs(
         np.concatenate([b.T for b in blocks]),
         np.concatenate([b.grasp_ids for b in blocks]),
@@ -149,7 +151,7 @@ def label_poses(task: LabellingTask, count: int, *, jobs: int = -1) -> LabelledP
 
 
 @contextlib.contextmanager
-def _pool(jobs: int):  # type: ignore[no-untyped-def]
+def _pool(jobs: int) -> Iterator[tuple[Any, int]]:
     with joblib.Parallel(n_jobs=jobs, return_as="generator") as parallel:
         yield parallel, joblib.effective_n_jobs(jobs)
 
@@ -180,29 +182,19 @@ def _block(task: LabellingTask, number: int, path: Path) -> LabelledPairs:
     placements, xi = random_poses(task.placements, task.workcell.bounds.array, POSES_PER_BLOCK, rng)
     T = planar_transform(xi) @ task.placements[placements]
     each = min(GRASPS_PER_POSE, len(task.grasps))
-    ids = np.concatenate([rng.choice(len(task.grasps), each, replace=False) for _ in range(POSES_PER_BLOCK)])
-    T = np.repeat(T, each, axis=0)
-    block = LabelledPairs(T, ids, _checker(task).feasible_pairs(T, ids))
+    ids = np.array([rng.choice(len(task.grasps), each, replace=False) for _ in range(POSES_PER_BLOCK)])
+    labels = _checker(task).feasible_pairs(np.repeat(T, each, axis=0), ids.ravel())
     with atomic_path(path) as temporary:
-        np.savez(temporary, T=block.T, grasp_ids=block.grasp_ids, feasible=block.feasible)
-    return block
+        np.savez_compressed(temporary, T=T, grasp_ids=ids, feasible=labels.reshape(ids.shape))
+    return LabelledPairs(np.repeat(T, each, axis=0), ids.ravel(), labels)
 
 
 def _read_block(path: Path) -> LabelledPairs | None:
     try:
         with np.load(path, allow_pickle=False) as stored:
-            block = LabelledPairs(stored["T"], stored["grasp_ids"], stored["feasible"])
-    except (OSError, ValueError, KeyError, EOFError):
+            T, ids, feasible = stored["T"], stored["grasp_ids"], stored["feasible"]
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
         return None
-    return block if len(block) == len(block.T) == len(block.grasp_ids) else None
-
-
-@contextlib.contextmanager
-def temporary_folder(folder: Path | None):  # type: ignore[no-untyped-def]
-    """Yield `folder`, or a temporary one that is removed afterwards."""
-    if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
-        yield folder
-        return
-    with tempfile.TemporaryDirectory(prefix=f"regrasp-opt-{os.getpid()}-") as name:
-        yield Path(name)
+    if T.shape != (POSES_PER_BLOCK, 4, 4) or ids.shape != feasible.shape or len(ids) != len(T):
+        return None
+    return LabelledPairs(np.repeat(T, ids.shape[1], axis=0), ids.ravel(), feasible.ravel())

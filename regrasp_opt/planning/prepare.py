@@ -29,6 +29,7 @@ from regrasp_opt.feasibility.dataset import (
     label_pairs,
     label_poses,
 )
+from regrasp_opt.files import data_home
 from regrasp_opt.grasps import GraspSet, sample_grasps
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.planning.model_store import (
@@ -103,7 +104,7 @@ def prepare(
     placements = np.array([lift @ p.pose for p in model.placements])
     task = LabellingTask(model, workcell, grasps, placements, seed)
     pairs = label_pairs(
-        task, samples, folder=folder / "labels", jobs=jobs, progress=lambda n, of: tell("labelling", n, of)
+        task, samples, folder=data_home() / "labels", jobs=jobs, progress=lambda n, of: tell("labelling", n, of)
     )
     held_out = label_poses(task, HELD_OUT_POSES, jobs=jobs)
     times["labelling"] = time.perf_counter() - began

@@ -88,7 +88,7 @@ class RegraspProblem:
             workcell = load_workcell(workcell, end_effector=end_effector)
         if not body.placements:
             raise GraspError(
-                f"'{body.name}' has no stable placement on a table, so it cannot be regrasped; check its shape and scale"
+                f"'{body.name}' has no stable placement on a table, so it cannot be planned; check its shape and scale"
             )
         folder = find_model(body, workcell, None if model is None else Path(model))
         if grasps is None:

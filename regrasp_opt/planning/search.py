@@ -11,7 +11,7 @@ import itertools
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -33,27 +33,40 @@ from regrasp_opt.solvers import (
 )
 
 MAX_REGRASPS = 8
-REFINED_STARTS = 6
-"""Lattice chains that are refined for each N."""
+FIRST_STARTS, REFINED_STARTS = 2, 6
+"""Lattice chains that are refined first, and in all if none of those is proved, for each N."""
 PROVED_CHAINS = 400
 """Lattice chains that are proved unrefined for each N if no refined one was."""
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """A refiner, where its start points come from, and how many candidates are proved (``K_top`` of Alg. 2)."""
+    """A refiner, where its start points come from, and how many candidates are proved.
+
+    Attributes
+    ----------
+    refiner : Refiner
+    starts : {"lattice", "random"}
+        Chains of lattice poses, the most promising first, or random sequences (Alg. 1, line 2).
+    batches : tuple of int
+        How many start points are refined and proved at a time, until a candidate is proved.
+    proved : int
+        Candidates of a batch that are proved at most, the cheapest first (``K_top`` of Alg. 2).
+    fallback : int
+        Lattice chains that are proved as they are, if no refined candidate was.
+    """
 
     refiner: Refiner
-    starts: str = "lattice"
-    count: int = REFINED_STARTS
+    starts: Literal["lattice", "random"] = "lattice"
+    batches: tuple[int, ...] = (FIRST_STARTS, REFINED_STARTS - FIRST_STARTS)
     proved: int = REFINED_STARTS
     fallback: int = PROVED_CHAINS
 
 
 RECIPES: dict[str, Callable[[], Recipe]] = {
     "ipopt": lambda: Recipe(NlpRefiner()),
-    "langevin": lambda: Recipe(LangevinRefiner(), starts="random", count=1000, proved=50, fallback=0),
-    "lattice": lambda: Recipe(LatticeRefiner(), count=PROVED_CHAINS, proved=PROVED_CHAINS, fallback=0),
+    "langevin": lambda: Recipe(LangevinRefiner(), starts="random", batches=(1000,), proved=50, fallback=0),
+    "lattice": lambda: Recipe(LatticeRefiner(), batches=(PROVED_CHAINS,), proved=PROVED_CHAINS, fallback=0),
 }
 
 
@@ -194,25 +207,40 @@ class _Search:
         objective, recipe = self.objective, self.recipe
         rng = np.random.default_rng([self.seed, num_regrasps])
         with self.clock.timed("starts"):
+            wanted = sum(recipe.batches)
             if recipe.starts == "random":
-                chains = random_starts(objective, num_regrasps, recipe.count, rng)
+                chains = random_starts(objective, num_regrasps, wanted, rng)
             else:
-                wanted = recipe.count + recipe.fallback
-                chains = lattice_starts(self.problem.lattice, objective, num_regrasps, wanted, rng)
-        with self.clock.timed("refine"):
-            refined = recipe.refiner.refine(objective, chains.take(slice(0, recipe.count)), rng)
-        entry = {"num_regrasps": num_regrasps, "refiner": recipe.refiner.name, **refined.stats}
+                chains = lattice_starts(self.problem.lattice, objective, num_regrasps, wanted + recipe.fallback, rng)
+        first = 0
+        for size in recipe.batches:
+            starts = chains.take(slice(first, first + size))
+            first += size
+            with self.clock.timed("refine"):
+                refined = recipe.refiner.refine(objective, starts, rng)
+            entry = {"num_regrasps": num_regrasps, "refiner": recipe.refiner.name, **refined.stats}
+            self.stats.append(entry)
+            found = self._first_proved(objective, refined.candidates.best(recipe.proved), entry)
+            if found is not None or self.clock.over:
+                return found
+        if not recipe.fallback:
+            return None
+        entry = {"num_regrasps": num_regrasps, "refiner": "lattice"}
         self.stats.append(entry)
-        ranked = refined.candidates.best(recipe.proved)
-        for source, candidates in (("refined", ranked), ("lattice", chains.take(slice(0, recipe.fallback)))):
-            for index in range(len(candidates)):
-                if self.clock.over:
-                    return None
-                with self.clock.timed("verify"):
-                    knowledge = self._prove(objective, candidates, index)
-                if knowledge is not None:
-                    entry |= {"accepted": source, "rank": index}
-                    return self._plan(objective, candidates, index, knowledge)
+        return self._first_proved(objective, chains.take(slice(0, recipe.fallback)), entry)
+
+    def _first_proved(
+        self, objective: SequenceObjective, candidates: Candidates, entry: dict[str, Any]
+    ) -> RegraspPlan | None:
+        """Return the plan of the first candidate that is proved, or None; record its rank in `entry`."""
+        for index in range(len(candidates)):
+            if self.clock.over:
+                return None
+            with self.clock.timed("verify"):
+                chain = self._prove(objective, candidates, index)
+            if chain is not None:
+                entry["accepted"] = index
+                return self._plan(objective, candidates, index, chain)
         return None
 
     def _prove(self, objective: SequenceObjective, candidates: Candidates, index: int) -> list[PoseKnowledge] | None:

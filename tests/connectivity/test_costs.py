@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from regrasp_opt.connectivity import CostOptions, pair_score, sequence_cost, truncated_pair_score
 from regrasp_opt.connectivity.casadi_costs import (
     connectivity_functions,
-    placement_parameter,
+    layers_parameter,
     plain_sequence_cost,
     sequence_functions,
 )
@@ -90,9 +90,9 @@ def _numpy_cost(energy, options, placements, xi, ends):
 @pytest.mark.parametrize("options", [CostOptions(), CostOptions(alpha=0.4, lambda_reg=2.0), CostOptions(variant="J+")])
 def test_fast_derivatives_equal_casadi_differentiation(make_energy, num_regrasps, bounded, options):
     energy = make_energy(bounded=bounded)
-    expressions = CasadiEnergy(energy)
+    expressions = CasadiEnergy(energy.model, len(energy))
     placements, xi, ends = _setting(energy, num_regrasps)
-    parameters = placement_parameter(placements)
+    parameters = layers_parameter(energy, placements)
     fast = sequence_functions(expressions, options, num_regrasps)
     plain = plain_sequence_cost(expressions, options, num_regrasps)
     x = ca.MX.sym("xi", 3, num_regrasps)
@@ -110,8 +110,8 @@ def test_fast_derivatives_equal_casadi_differentiation(make_energy, num_regrasps
 def test_gradient_and_hessian_match_finite_differences(make_energy, activation):
     energy = make_energy(activation=activation)
     placements, xi, ends = _setting(energy, 2)
-    functions = sequence_functions(CasadiEnergy(energy), CostOptions(), 2)
-    parameters = placement_parameter(placements)
+    functions = sequence_functions(CasadiEnergy(energy.model, len(energy)), CostOptions(), 2)
+    parameters = layers_parameter(energy, placements)
 
     def cost(v):
         return float(functions.cost(v.reshape(2, 3).T, parameters, ends))
@@ -127,7 +127,7 @@ def test_gradient_and_hessian_match_finite_differences(make_energy, activation):
 def test_contract_functions_compose_differentiate_save_and_map(make_energy, tmp_path):
     energy = make_energy()
     placements, xi, ends = _setting(energy, 2)
-    E, Q_pair, J_seq = connectivity_functions(CasadiEnergy(energy), CostOptions(), *ends.T, placements)
+    E, Q_pair, J_seq = connectivity_functions(energy, CostOptions(), *ends.T, placements)
     np.testing.assert_allclose(np.array(E(xi)).T, energy(planar_transform(xi.T) @ placements), atol=1e-12)
     assert float(J_seq(xi)) == pytest.approx(_numpy_cost(energy, CostOptions(), placements, xi, ends))
     assert Q_pair(xi).shape == (3, 1)
@@ -144,8 +144,8 @@ def test_extreme_energies_and_alpha_stay_finite(make_energy):
     energy = make_energy()
     placements, xi, ends = _setting(energy, 2)
     for alpha in (1e-3, 1e3):
-        functions = sequence_functions(CasadiEnergy(energy), CostOptions(alpha=alpha), 2)
-        arguments = xi, placement_parameter(placements), ends * 1e3
+        functions = sequence_functions(CasadiEnergy(energy.model, len(energy)), CostOptions(alpha=alpha), 2)
+        arguments = xi, layers_parameter(energy, placements), ends * 1e3
         assert np.isfinite(float(functions.cost(*arguments)))
         assert np.isfinite(np.array(functions.hessian(*arguments))).all()
 
@@ -158,4 +158,4 @@ def test_wrong_options_are_rejected(wrong):
 
 def test_the_truncated_cost_has_no_solver_functions(make_energy):
     with pytest.raises(OptionError, match="not differentiable"):
-        sequence_functions(CasadiEnergy(make_energy()), CostOptions(variant="Jh", h=1.0), 1)
+        sequence_functions(CasadiEnergy(make_energy().model, 12), CostOptions(variant="Jh", h=1.0), 1)

@@ -46,12 +46,13 @@ def test_casadi_energy_equals_numpy_for_planar_and_full_poses(make_energy, featu
     energy = make_energy(features=features)
     rng = np.random.default_rng(4)
     T_p, xi = random_transforms(rng, 1)[0], np.array([0.3, -0.2, 2.0])
-    expressions = CasadiEnergy(energy)
-    x, P, T = ca.MX.sym("xi", 3), ca.MX.sym("P", 4, 4), ca.MX.sym("T", 4, 4)
-    planar = ca.Function("planar", [x, P], [expressions.planar_expression(x, P)])
-    full = ca.Function("full", [T], [expressions.pose_expression(T)])
+    expressions = CasadiEnergy(energy.model, len(energy))
+    x, T = ca.MX.sym("xi", 3), ca.MX.sym("T", 4, 4)
+    layer = expressions.layer(energy.planar_layer(T_p))
+    planar = ca.Function("planar", [x], [expressions.planar_expression(layer, x)])
+    full = ca.Function("full", [T], [expressions.pose_expression(energy, T)])
     pose = planar_transform(xi) @ T_p
-    np.testing.assert_allclose(np.array(planar(xi, T_p))[:, 0], energy(pose), atol=1e-12)
+    np.testing.assert_allclose(np.array(planar(xi))[:, 0], energy(pose), atol=1e-12)
     np.testing.assert_allclose(np.array(full(pose))[:, 0], energy(pose), atol=1e-12)
 
 
