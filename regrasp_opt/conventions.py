@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from regrasp_opt.errors import PoseError
+from regrasp_opt.errors import OptionError, PoseError
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -56,7 +56,7 @@ def as_pose(T: Any, name: str = "pose") -> FloatArray:
     """
     try:
         matrix = np.array(T, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise PoseError(f"the {name} is not a numeric 4x4 matrix; give four rows of four numbers") from error
     if matrix.shape != (4, 4):
         raise PoseError(f"the {name} has shape {matrix.shape}; give a 4x4 matrix T_world_object")
@@ -71,6 +71,19 @@ def as_pose(T: Any, name: str = "pose") -> FloatArray:
     if np.linalg.det(rotation) < 0:
         raise PoseError(f"the {name} is left-handed (a mirror image); give a rotation with determinant +1")
     return orthonormalise(matrix)
+
+
+def as_seed(seed: Any) -> int:
+    """Return `seed` if it is a whole number of at least 0.
+
+    Raises
+    ------
+    OptionError
+        If it is not.
+    """
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise OptionError(f"seed is {seed}; give a whole number of at least 0")
+    return int(seed)
 
 
 def invert(T: ArrayLike) -> FloatArray:

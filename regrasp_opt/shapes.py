@@ -41,11 +41,15 @@ class Mesh:
 Shape = Box | Cylinder | Mesh
 
 
-def bounding_points(shape: Shape) -> FloatArray:
-    """Return points (P, 3) in the parent frame whose convex hull contains `shape`."""
+def surface_points(shape: Shape) -> FloatArray:
+    """Return points (P, 3) on the surface of `shape` in its parent frame: corners, rim points or vertices."""
     if isinstance(shape, Mesh):
         local = shape.vertices
+    elif isinstance(shape, Box):
+        local = np.array(np.meshgrid(*[(-h, h) for h in shape.size / 2])).reshape(3, -1).T
     else:
-        half = shape.size / 2 if isinstance(shape, Box) else np.array([shape.radius, shape.radius, shape.length / 2])
-        local = np.array(np.meshgrid(*[(-h, h) for h in half])).reshape(3, -1).T
+        angles = np.arange(16) * (np.pi / 8)
+        rim = shape.radius * np.column_stack([np.cos(angles), np.sin(angles)])
+        ends = np.repeat([-shape.length / 2, shape.length / 2], len(rim))
+        local = np.column_stack([np.tile(rim, (2, 1)), ends])
     return local @ shape.pose[:3, :3].T + shape.pose[:3, 3]

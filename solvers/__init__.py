@@ -8,6 +8,7 @@ from regrasp_opt.solvers.base import Candidates, Refinement, Refiner, random_sta
 from regrasp_opt.solvers.langevin import LangevinRefiner
 from regrasp_opt.solvers.lattice import LatticeRefiner, PoseLattice, lattice_starts
 from regrasp_opt.solvers.nlp import NlpRefiner
+from regrasp_opt.solvers.program import ProgramOptions
 
 __all__ = [
     "Candidates",
@@ -15,6 +16,7 @@ __all__ = [
     "LatticeRefiner",
     "NlpRefiner",
     "PoseLattice",
+    "ProgramOptions",
     "Refinement",
     "Refiner",
     "lattice_starts",

@@ -46,11 +46,17 @@ class Refinement:
     Attributes
     ----------
     candidates : Candidates
+    status : tuple of str
+        How each candidate's refinement ended, in the refiner's own words.
+    traces : tuple of arrays
+        Cost of each candidate by iteration, the start first.
     stats : dict
         Plain numbers, JSON-serialisable; the keys are the refiner's own.
     """
 
     candidates: Candidates
+    status: tuple[str, ...]
+    traces: tuple[FloatArray, ...]
     stats: dict[str, Any] = field(default_factory=dict)
 
 

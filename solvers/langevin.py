@@ -82,8 +82,13 @@ class LangevinRefiner:
             start_cost = objective.cost(starts.placements, starts.xi)
             worse = cost > start_cost
             xi, cost = np.where(worse[:, None, None], starts.xi, xi), np.where(worse, start_cost, cost)
-        trace = np.concatenate(traces, axis=1).mean(axis=1).tolist() if traces else []
-        return Refinement(Candidates(starts.placements, xi, cost), {"iterations": self.iterations, "mean_cost": trace})
+        trace = np.concatenate(traces, axis=1) if traces else np.zeros((0, 0))
+        return Refinement(
+            Candidates(starts.placements, xi, cost),
+            ("finished",) * len(starts),
+            tuple(trace.T.astype(np.float64)),
+            {"iterations": self.iterations, "mean_cost": trace.mean(axis=1).tolist()},
+        )
 
     def _run(self, landscape: _Landscape, starts: Candidates, noise: torch.Generator) -> tuple[Any, Any]:
         import torch

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ YAWS = 12
 """Number of lattice yaws in a turn."""
 MIDDLE = 1500
 """Poses that a layer of a chain keeps."""
-RANKED = 20_000
+RANKED = 5_000
 """Chains among which the start points are chosen."""
 _WORKERS = 2
 
@@ -43,6 +44,11 @@ class PoseLattice:
     placements: IntArray
     xi: FloatArray
     energies: NDArray[np.float32]
+
+    @lru_cache(maxsize=2)  # noqa: B019 (a lattice lives as long as its problem)
+    def likelihoods(self, alpha: float) -> NDArray[np.float32]:
+        """Return ``P = exp(-E / alpha)`` (L, G)."""
+        return np.exp(-self.energies / np.float32(alpha))
 
     @staticmethod
     def build(
@@ -110,7 +116,7 @@ def lattice_starts(
 ) -> Candidates:
     """Return up to `count` chains of `num_regrasps` lattice poses, the most promising and different ones first."""
     alpha = objective.options.alpha
-    P = np.exp(-lattice.energies / alpha)
+    P = lattice.likelihoods(alpha)
     reach = [P @ np.exp(-end / alpha).astype(np.float32) for end in (objective.start_energy, objective.goal_energy)]
     from_start, to_goal = (shared_cost(mass) for mass in reach)
     if num_regrasps == 1:
@@ -182,4 +188,4 @@ class LatticeRefiner:
 
     def refine(self, objective: SequenceObjective, starts: Candidates, rng: np.random.Generator) -> Refinement:
         """Return `starts` unchanged."""
-        return Refinement(starts, {"candidates": len(starts)})
+        return Refinement(starts, ("kept",) * len(starts), tuple(starts.cost[:, None]), {"candidates": len(starts)})

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-os.environ.setdefault("OMP_NUM_THREADS", "2")
-
 from regrasp_opt.energy.features import feature_count
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
 from regrasp_opt.grasps import GraspSet
 
 
-@pytest.fixture(autouse=True)
-def _own_data_home(tmp_path_factory, monkeypatch):
+@pytest.fixture(scope="session", autouse=True)
+def _own_data_home(tmp_path_factory):
     """Keep caches and prepared models of tests out of the user's folders, but shared between tests."""
-    home = tmp_path_factory.getbasetemp() / "data-home"
-    monkeypatch.setenv("REGRASP_OPT_HOME", str(home))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("REGRASP_OPT_HOME", str(tmp_path_factory.getbasetemp() / "data-home"))
+        yield
 
 
 def random_transforms(rng: np.random.Generator, count: int, spread: float = 0.1) -> np.ndarray:

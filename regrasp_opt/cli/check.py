@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from regrasp_opt.planning import RegraspPlan
@@ -41,7 +42,7 @@ def run_check(path: Path, *, as_json: bool) -> int:
         "limit margin [rad]",
         "collision margin [mm]",
     ):
-        table.add_column(heading, justify="right")
+        table.add_column(escape(heading), justify="right")
     for i, t in enumerate(residuals.transitions):
         table.add_row(
             str(i),

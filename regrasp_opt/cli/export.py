@@ -8,8 +8,7 @@ from regrasp_opt.energy.export import SUFFIXES, export_energy
 from regrasp_opt.energy.model import GraspEnergy
 from regrasp_opt.energy.storage import load_energy
 from regrasp_opt.errors import UnknownNameError
-from regrasp_opt.grasps import GraspSet
-from regrasp_opt.planning.model_store import ENERGY_FILE, GRASPS_FILE, REPORT_FILE, bundled_models
+from regrasp_opt.planning.model_store import ENERGY_FILES, REPORT_FILE, bundled_models, load_prepared_grasps
 
 
 def run_export(model: Path, to: str, out: Path | None) -> int:
@@ -18,7 +17,7 @@ def run_export(model: Path, to: str, out: Path | None) -> int:
     folder = model if model.is_dir() else bundled.get(str(model))
     if folder is None:
         raise UnknownNameError("model", str(model), bundled)
-    energy = GraspEnergy(load_energy(folder / ENERGY_FILE), GraspSet.load(folder / GRASPS_FILE))
+    energy = GraspEnergy(load_energy(folder / ENERGY_FILES["default"]), load_prepared_grasps(folder))
     path = out or Path(f"{folder.name}{SUFFIXES[to]}")
     export_energy(energy, to, path)
     print(f"written: {path}")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from regrasp_opt.cli.poses import describe_pose, parse_pose
@@ -94,7 +95,7 @@ def _print(plan: RegraspPlan, written: list[Path]) -> None:
         )
         table = Table(box=None, header_style="bold")
         for heading in ("move", "from [m]", "to [m]", "placement", "shared grasps", "clearance [mm]"):
-            table.add_column(heading, justify="left" if heading in ("from [m]", "to [m]") else "right")
+            table.add_column(escape(heading), justify="left" if heading in ("from [m]", "to [m]") else "right")
         for i, transition in enumerate(plan.transitions):
             target = "goal" if i == plan.num_regrasps else str(plan.placements[i])
             clearance = f"{1e3 * transition.clearance.max():.1f}"

@@ -12,7 +12,7 @@ import numpy as np
 from regrasp_opt.conventions import FloatArray, as_pose, planar_transform
 from regrasp_opt.errors import PoseError
 
-_PLANAR = re.compile(r"(-?\d+):([^,]+),([^,]+),([^,]+)")
+_PLANAR = re.compile(r"(-?\d{1,9}):([^,]+),([^,]+),([^,]+)")
 
 
 def parse_pose(text: str, name: str, placements: FloatArray) -> FloatArray:
@@ -47,7 +47,7 @@ def parse_pose(text: str, name: str, placements: FloatArray) -> FloatArray:
 
 
 def _from_file(path: Path, name: str) -> FloatArray:
-    if path.suffix != ".json" and not path.is_file():
+    if path.suffix != ".json" and not _is_file(path):
         raise PoseError(
             f"the {name} '{path}' is no pose; write it like 2:0.30,0.25,45 or name a JSON file with a 4x4 matrix"
         )
@@ -60,6 +60,13 @@ def _from_file(path: Path, name: str) -> FloatArray:
             f"the {name} file '{path}' is not valid JSON; it must hold four rows of four numbers"
         ) from error
     return as_pose(matrix, f"{name} pose in '{path}'")
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # longer than a path may be, or with a null character
+        return False
 
 
 def describe_pose(T: FloatArray) -> str:

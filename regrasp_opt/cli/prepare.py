@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -64,8 +65,8 @@ def run_prepare(request: PrepareRequest, *, as_json: bool) -> int:
         f"{report['placements']} placements, {report['feasible_pairs']} feasible of {report['pairs']} pairs"
     )
     table = Table(box=None, header_style="bold")
-    for heading in ("energy", "held-out AP", "F1", "shared F1", "h"):
-        table.add_column(heading, justify="left" if heading == "energy" else "right")
+    for heading in ("energy", "held-out AP", "AUROC", "F1", "shared F1", "h"):
+        table.add_column(escape(heading), justify="left" if heading == "energy" else "right")
     for name, held_out in report["held_out"].items():
         figures = (
             held_out["average_precision"],
@@ -75,5 +76,8 @@ def run_prepare(request: PrepareRequest, *, as_json: bool) -> int:
         )
         table.add_row(name, *(f"{value:.3f}" for value in figures))
     console.print(table)
+    bins = report["held_out"]["default"]["reliability"]
+    pairs = ", ".join(f"{b['predicted']:.2f} -> {b['observed']:.2f}" for b in bins)
+    console.print(f"reliability (predicted -> observed): {pairs}")
     console.print(f"written: {folder}")
     return 0

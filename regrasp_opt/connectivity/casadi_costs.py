@@ -36,16 +36,29 @@ class ConnectivityFunctions(NamedTuple):
 
 
 class SequenceFunctions(NamedTuple):
-    """Value, gradient and Hessian of ``J_seq``: inputs ``xi`` (3, N), ``layers`` (H, 3 G N), ``ends`` (G, 2)."""
+    """``J_seq`` and what a solver needs of it, as functions of ``xi`` (3, N), ``layers`` (H, 3 G N), ``ends`` (G, 2).
+
+    ``cost`` gives J; ``gradient`` J and its gradient (3N, 1); ``scores`` the pair scores Q (N+1, 1) and their
+    Jacobian (N+1, 3N); ``hessian`` takes two more inputs, ``scale`` and ``multipliers`` (N+1), and gives the Hessian
+    (3N, 3N) of ``scale J + multipliers . Q``.
+    """
 
     cost: Any
     gradient: Any
+    scores: Any
     hessian: Any
 
 
-def pair_score(energy_a: Any, energy_b: Any, alpha: float) -> Any:
-    """Return ``Q_pair`` of energies (G, 1) (Eq. 4); smooth, and safe from overflow."""
-    return -alpha * ca.logsumexp(-(energy_a + energy_b) / alpha)
+def pair_score(energy_a: Any, energy_b: Any, options: CostOptions) -> Any:
+    """Return the pair score of energies (G, 1): ``Q_pair`` (Eq. 4), or ``Q^h_pair`` (Eq. 10) for variant ``Jh``."""
+    total = energy_a + energy_b
+    if options.variant != "Jh":
+        return -options.alpha * ca.logsumexp(-total / options.alpha)
+    kept = total < options.h
+    least = ca.mmin(total)
+    mass = ca.sum1(ca.if_else(kept, ca.exp((least - total) / options.alpha), 0))
+    some = ca.mmax(kept)
+    return ca.if_else(some, least - options.alpha * ca.log(ca.if_else(some, mass, 1)), 0)
 
 
 def softmin_weights(energy_a: Any, energy_b: Any, alpha: float) -> Any:
@@ -68,7 +81,7 @@ def plain_sequence_cost(energy: CasadiEnergy, options: CostOptions, num_regrasps
     xi, layers, ends = _symbols(energy, num_regrasps)
     energies = [energy.planar_expression(layer, xi[:, i]) for i, layer in enumerate(_split(energy, layers))]
     chain = [ends[:, 0], *energies, ends[:, 1]]
-    scores = [pair_score(a, b, options.alpha) for a, b in itertools.pairwise(chain)]
+    scores = [pair_score(a, b, options) for a, b in itertools.pairwise(chain)]
     cost = cost_of_scores(scores, options.regularisation)
     return ca.Function("J_seq_plain", [xi, layers, ends], [cost], ["xi", "layers", "ends"], ["J"])
 
@@ -87,18 +100,22 @@ def sequence_functions(energy: CasadiEnergy, options: CostOptions, num_regrasps:
     names = ["xi", "layers", "ends"]
     layers = _split(energy, packed)
 
+    scale, multipliers = ca.MX.sym("scale"), ca.MX.sym("multipliers", num_regrasps + 1)
     light = [energy.forward(layer, xi[:, i], tangents=False) for i, layer in enumerate(layers)]
     chain = _Chain([ends[:, 0], *(p.energy for p in light), ends[:, 1]], options)
     gradient = [energy.gradient(p, chain.omega(i + 1)) for i, p in enumerate(light)]
 
     full = [energy.forward(layer, xi[:, i], tangents=True) for i, layer in enumerate(layers)]
-    bent = _Chain([ends[:, 0], *(p.energy for p in full), ends[:, 1]], options)
+    bent = _Chain([ends[:, 0], *(p.energy for p in full), ends[:, 1]], options, scale, multipliers)
     curvatures = [energy.curvature(p, bent.omega(i + 1)) for i, p in enumerate(full)]
-    hessian = ca.diagcat(*curvatures) + bent.coupling([p.tangent for p in full])
+    tangents = [p.tangent for p in full]
+    hessian = ca.diagcat(*curvatures) + bent.coupling(tangents)
+    scores = [ca.vertcat(*bent.scores), bent.score_jacobian(tangents)]
     return SequenceFunctions(
         ca.Function("J_seq", inputs, [chain.cost], names, ["J"]),
         ca.Function("J_seq_gradient", inputs, [chain.cost, ca.vertcat(*gradient)], names, ["J", "gradient"]),
-        ca.Function("J_seq_hessian", inputs, [hessian], names, ["hessian"]),
+        ca.Function("Q_pair", inputs, scores, names, ["Q", "jacobian"]),
+        ca.Function("hessian", [*inputs, scale, multipliers], [hessian], [*names, "scale", "multipliers"], ["hessian"]),
     )
 
 
@@ -127,7 +144,7 @@ def connectivity_functions(
     layers = [expressions.layer(energy.planar_layer(T)) for T in placements]
     energies = [expressions.planar_expression(layer, xi[:, i]) for i, layer in enumerate(layers)]
     chain = [ca.MX(ca.DM(start)), *energies, ca.MX(ca.DM(goal))]
-    scores = [pair_score(a, b, options.alpha) for a, b in itertools.pairwise(chain)]
+    scores = [pair_score(a, b, options) for a, b in itertools.pairwise(chain)]
     cost = cost_of_scores(scores, options.regularisation)
     stacked = ca.horzcat(*energies) if energies else ca.MX(len(energy), 0)
     return ConnectivityFunctions(
@@ -146,42 +163,53 @@ def _symbols(energy: CasadiEnergy, num_regrasps: int) -> list[Any]:
 
 
 class _Chain:
-    """Pair scores of a chain of energies and what the chain rule needs of them."""
+    """Pair scores of a chain of energies and what the chain rule needs of ``scale J + multipliers . Q``."""
 
-    def __init__(self, energies: list[Any], options: CostOptions) -> None:
+    def __init__(self, energies: list[Any], options: CostOptions, scale: Any = 1, multipliers: Any = None) -> None:
         pairs = list(itertools.pairwise(energies))
         self.alpha = options.alpha
-        self.lambda_reg = options.regularisation
-        scores = [pair_score(a, b, options.alpha) for a, b in pairs]
-        self.cost = cost_of_scores(scores, self.lambda_reg)
+        self.lambda_reg = scale * options.regularisation
+        self.scores = [pair_score(a, b, options) for a, b in pairs]
+        self.cost = cost_of_scores(self.scores, options.regularisation)
         self.weights = [softmin_weights(a, b, options.alpha) for a, b in pairs]
-        self.slopes = []  # c_i = dJ/dQ_i
-        for i, score in enumerate(scores):
-            slope = ca.MX(1)
+        self.slopes = []  # c_i = d(scale J + multipliers . Q) / dQ_i
+        for i, score in enumerate(self.scores):
+            slope = scale + (0 if multipliers is None else multipliers[i])
             for j in (i - 1, i + 1):
-                if 0 <= j < len(scores):
-                    slope = slope + 2 * self.lambda_reg * (score - scores[j])
+                if 0 <= j < len(self.scores):
+                    slope = slope + 2 * self.lambda_reg * (score - self.scores[j])
             self.slopes.append(slope)
 
     def omega(self, i: int) -> Any:
         """Return dJ/dE (G, 1) at pose i of the chain, start being pose 0."""
         return self.slopes[i - 1] * self.weights[i - 1] + self.slopes[i] * self.weights[i]
 
+    def score_jacobian(self, tangents: list[Any]) -> Any:
+        """Return dQ/dxi (N+1, 3N) from dE/dxi (G, 3) of the N intermediate poses."""
+        moves = self._moves(tangents)
+        return ca.vertcat(*[ca.mtimes(w.T, move) for move, w in zip(moves, self.weights, strict=True)])
+
     def coupling(self, tangents: list[Any]) -> Any:
         """Return the Hessian's part that couples poses, (3N, 3N), from dE/dxi (G, 3) of the N intermediate poses."""
-        count = len(tangents)
-        moves = []  # d(E_i + E_{i+1})/dxi over all variables, one (G, 3N) a pair
-        for i in range(count + 1):
-            blocks = [t if j in (i - 1, i) else ca.MX(t.shape[0], 3) for j, t in enumerate(tangents)]
-            moves.append(ca.horzcat(*blocks))
+        size = 3 * len(tangents)
+        moves = self._moves(tangents)
         slopes = [ca.mtimes(move.T, w) for move, w in zip(moves, self.weights, strict=True)]  # dQ_i
-        total = ca.MX(3 * count, 3 * count)
+        total = ca.MX(size, size)
         for move, w, slope, c in zip(moves, self.weights, slopes, self.slopes, strict=True):
-            spread = ca.mtimes(ca.densify(move).T, ca.repmat(w, 1, 3 * count) * move) - slope @ slope.T
+            spread = ca.mtimes(ca.densify(move).T, ca.repmat(w, 1, size) * move) - slope @ slope.T
             total = total - c / self.alpha * spread
         for a, b in itertools.pairwise(slopes):
             total = total + 2 * self.lambda_reg * (a - b) @ (a - b).T
         return total
+
+    @staticmethod
+    def _moves(tangents: list[Any]) -> list[Any]:
+        """Return d(E_i + E_{i+1})/dxi over all variables, one (G, 3N) for each of the N+1 pairs."""
+        moves = []
+        for i in range(len(tangents) + 1):
+            blocks = [t if j in (i - 1, i) else ca.MX(t.shape[0], 3) for j, t in enumerate(tangents)]
+            moves.append(ca.horzcat(*blocks))
+        return moves
 
 
 def layers_parameter(energy: GraspEnergy, placements: FloatArray, grasp_ids: Any = slice(None)) -> FloatArray:

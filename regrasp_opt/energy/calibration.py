@@ -6,6 +6,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import expit
+from scipy.stats import rankdata
 
 from regrasp_opt.conventions import BoolArray, FloatArray
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
@@ -26,6 +28,30 @@ def average_precision(energy: FloatArray, positive: BoolArray) -> float:
     hits = positive[np.argsort(energy, kind="stable")]
     precision = np.cumsum(hits) / np.arange(1, len(hits) + 1)
     return float(precision[hits].mean()) if hits.any() else 0.0
+
+
+def area_under_roc(energy: FloatArray, positive: BoolArray) -> float:
+    """Return the probability that a random positive has a lower energy than a random negative (ties count half)."""
+    ranks = rankdata(-energy)
+    count = int(positive.sum())
+    negatives = len(positive) - count
+    if count == 0 or negatives == 0:
+        return float("nan")
+    return float((ranks[positive].sum() - count * (count + 1) / 2) / (count * negatives))
+
+
+def reliability_curve(probability: FloatArray, positive: BoolArray, bins: int = 10) -> list[dict[str, float]]:
+    """Return mean prediction, share of positives and count of each bin of predicted probability that is not empty."""
+    index = np.minimum((probability * bins).astype(int), bins - 1)
+    return [
+        {
+            "predicted": float(probability[index == b].mean()),
+            "observed": float(positive[index == b].mean()),
+            "count": int((index == b).sum()),
+        }
+        for b in range(bins)
+        if (index == b).any()
+    ]
 
 
 def best_threshold(energy: FloatArray, positive: BoolArray) -> BestThreshold:
@@ -69,8 +95,11 @@ def calibrate(
     a, b = (rng.integers(len(T), size=_PAIRS) for _ in range(2))
     shared = best_threshold((energies[a] + energies[b]).ravel(), (feasible[a] & feasible[b]).ravel())
     single = best_threshold(energies.ravel(), feasible.ravel())
+    flat, positive = energies.ravel(), feasible.ravel()
     metrics = {
-        "average_precision": average_precision(energies.ravel(), feasible.ravel()),
+        "average_precision": average_precision(flat, positive),
+        "auroc": area_under_roc(flat, positive),
+        "reliability": reliability_curve(np.exp(-flat) if model.bounded else expit(-flat), positive),
         "f1": single.f1,
         "threshold": single.threshold,
         "shared_f1": shared.f1,

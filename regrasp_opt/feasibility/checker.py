@@ -9,13 +9,15 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import coal
 import numpy as np
 
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
+from regrasp_opt.feasibility.geometry import mesh_geometry, static_bodies
 from regrasp_opt.feasibility.scene import CollisionScene
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel
-from regrasp_opt.shapes import bounding_points
+from regrasp_opt.shapes import surface_points
 from regrasp_opt.workcell import Workcell
 
 
@@ -42,11 +44,13 @@ class FeasibilityChecker:
         self.grasps = grasps
         self.scene = CollisionScene(model, workcell, grasps)
         effector = workcell.end_effector
+        self._object = mesh_geometry(model.vertices, model.faces)
+        self._static = static_bodies(workcell)
         self._T_object_flange = grasps.T_object_tcp @ effector.T_tcp_flange
         self._corners = np.stack(
             [
                 np.concatenate(
-                    [bounding_points(s) for s in (*effector.body, *effector.finger_boxes(w, effector.pre_opening))]
+                    [surface_points(s) for s in (*effector.body, *effector.finger_boxes(w, effector.pre_opening))]
                 )
                 for w in grasps.width.tolist()
             ]
@@ -71,6 +75,11 @@ class FeasibilityChecker:
     def feasible_pairs(self, T: FloatArray, grasp_ids: IntArray) -> BoolArray:
         """Return the feasibility (M,) of M pairs of object poses `T` (M, 4, 4) and `grasp_ids` (M,)."""
         result = np.zeros(len(grasp_ids), dtype=bool)
+        open_pairs = np.flatnonzero(~self._blocked(T))
+        if len(open_pairs) < len(result):
+            if len(open_pairs):
+                result[open_pairs] = self.feasible_pairs(T[open_pairs], grasp_ids[open_pairs])
+            return result
         branches = self.branches(T, grasp_ids)
         pair_before = -1
         for q, pair in zip(branches.q, branches.pair.tolist(), strict=True):
@@ -82,17 +91,41 @@ class FeasibilityChecker:
             result[pair] = not self.scene.collides(q)
         return result
 
-    def configurations(self, T: FloatArray, grasp_id: int) -> FloatArray:
-        """Return every feasible arm configuration (K, dof) [rad] for one grasp at object pose `T` (4, 4)."""
-        branches = self.branches(T[None], np.array([grasp_id]))
-        self._arrange(T, grasp_id)
-        free = [q for q in branches.q if not self.scene.collides(q)]
-        return np.array(free).reshape(len(free), self.workcell.robot.dof)
+    def configurations(self, T: FloatArray, grasp_ids: IntArray) -> list[FloatArray]:
+        """Return all feasible arm configurations (M, dof) [rad] of each grasp (K,) at object pose `T` (4, 4)."""
+        branches = self.branches(np.broadcast_to(T, (len(grasp_ids), 4, 4)), grasp_ids)
+        found = []
+        for k, grasp_id in enumerate(grasp_ids.tolist()):
+            self._arrange(T, grasp_id)
+            free = [q for q in branches.q[branches.pair == k] if not self.scene.collides(q)]
+            found.append(np.array(free).reshape(len(free), self.workcell.robot.dof))
+        return found
 
     def clearance(self, T: FloatArray, grasp_id: int, q: FloatArray) -> float:
-        """Return the least distance between any two bodies that must not touch [m]; negative on overlap."""
+        """Return the least distance of arm and gripper to table, obstacles and object [m]; negative on overlap."""
         self._arrange(T, grasp_id)
         return self.scene.clearance(q)
+
+    def object_collides(self, T: FloatArray) -> bool:
+        """Return whether the object at pose `T` (4, 4) is too near to an obstacle or the robot's base."""
+        return self.object_overlaps(T, self.workcell.clearance.gripper) is not None
+
+    def object_overlaps(self, T: FloatArray, clearance: float) -> str | None:
+        """Return what obstacle or base is nearer than `clearance` [m] to the object at `T` (4, 4), or None."""
+        body = coal.CollisionObject(self._object, coal.Transform3s(T[:3, :3], T[:3, 3]))
+        request = coal.CollisionRequest()
+        request.security_margin = clearance
+        for item, name in self._static:
+            if coal.collide(body, item, request, coal.CollisionResult()):
+                return name
+        return None
+
+    def _blocked(self, T: FloatArray) -> BoolArray:
+        """Return where the object itself collides (M,), for poses `T` (M, 4, 4) of which neighbours are often equal."""
+        changes = np.ones(len(T), dtype=bool)
+        changes[1:] = (T[1:] != T[:-1]).any(axis=(1, 2))
+        blocked = np.array([self.object_collides(pose) for pose in T[changes]], dtype=bool)
+        return blocked[np.cumsum(changes) - 1]
 
     def _arrange(self, T: FloatArray, grasp_id: int) -> None:
         self.scene.place_object(T)

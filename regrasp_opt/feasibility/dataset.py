@@ -125,7 +125,7 @@ def label_pairs(
                 found += int(block.feasible.sum())
                 if progress is not None:
                     progress(min(found, feasible_wanted), feasible_wanted)
-            if found == 0 and len(blocks) >= _HOPELESS_BLOCKS:
+            if len(blocks) >= _HOPELESS_BLOCKS and not any(b.feasible.any() for b in blocks[:_HOPELESS_BLOCKS]):
                 raise GraspError(
                     f"no grasp of '{task.workcell.end_effector.name}' on '{task.model.name}' is feasible anywhere in "
                     "the workspace; move the workspace nearer to the robot or use another end-effector"
@@ -191,7 +191,7 @@ def _block(task: LabellingTask, number: int, path: Path) -> LabelledPairs:
 
 def _read_block(path: Path) -> LabelledPairs | None:
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             T, ids, feasible = stored["T"], stored["grasp_ids"], stored["feasible"]
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):
         return None

@@ -9,6 +9,7 @@ import numpy as np
 
 from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.shapes import Box, Cylinder, Shape
+from regrasp_opt.workcell import Workcell
 
 
 def mesh_geometry(vertices: FloatArray, faces: IntArray) -> Any:
@@ -30,3 +31,17 @@ def shape_geometry(shape: Shape) -> Any:
     if isinstance(shape, Cylinder):
         return coal.Cylinder(shape.radius, shape.length)
     return mesh_geometry(shape.vertices, shape.faces)
+
+
+def static_bodies(workcell: Workcell) -> list[tuple[Any, str]]:
+    """Return what stands fixed besides the table, as Coal collision objects in the world, with what to call each."""
+    bodies = []
+    for shape in workcell.obstacles:
+        pose = coal.Transform3s(shape.pose[:3, :3], shape.pose[:3, 3])
+        bodies.append((coal.CollisionObject(shape_geometry(shape), pose), f"the obstacle '{shape.name}'"))
+    for item in workcell.robot.collision.geometryObjects:
+        if item.parentJoint == 0:
+            T = workcell.T_world_base @ item.placement.homogeneous
+            pose = coal.Transform3s(T[:3, :3], T[:3, 3])
+            bodies.append((coal.CollisionObject(item.geometry, pose), "the robot's base"))
+    return bodies

@@ -67,9 +67,8 @@ class CollisionScene:
         self.data, self.geometry_data = self.model.createData(), self.geometry.createData()
         for k, margin in enumerate(self.margins):
             self.geometry_data.collisionRequests[k].security_margin = float(margin)
-        mount = {i for i in moving if self._joint(i) == int(self.model.parents[self._tip_joint])}
-        measured = [(i, j, k) for k, (i, j, _) in enumerate(pairs) if not (i in gripper and j in mount)]
-        self._measured = np.array(measured)
+        surroundings = {self.table, self.object, *self.obstacles}
+        self._measured = np.array([(i, j, k) for k, (i, j, _) in enumerate(pairs) if j in surroundings])
         self._centers, self._radii = self._bounding_spheres()
 
     def _joint(self, index: int) -> int:
@@ -104,9 +103,10 @@ class CollisionScene:
         return bool(pin.computeCollisions(self.model, self.data, self.geometry, self.geometry_data, q, True))
 
     def clearance(self, q: FloatArray) -> float:
-        """Return the least distance over all pairs at `q` [m]; negative where bodies overlap.
+        """Return the least distance at `q` between arm or gripper and table, obstacles or (arm only) object [m].
 
-        The gripper against the link that it turns on is left out: that distance hardly changes.
+        Negative where bodies overlap. Self-collision is tested, but not part of it: neighbouring links are always
+        near each other.
         """
         pin.forwardKinematics(self.model, self.data, q)
         pin.updateGeometryPlacements(self.model, self.data, self.geometry, self.geometry_data)

@@ -2,6 +2,7 @@
 
 from regrasp_opt.planning.plan import RegraspPlan, Status, Transition
 from regrasp_opt.planning.problem import RegraspProblem
-from regrasp_opt.planning.search import Recipe, solve_sequence
+from regrasp_opt.planning.recipes import Recipe
+from regrasp_opt.planning.search import solve_sequence
 
 __all__ = ["Recipe", "RegraspPlan", "RegraspProblem", "Status", "Transition", "solve_sequence"]

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import coal
 import numpy as np
 
 from regrasp_opt.conventions import FloatArray, as_pose
 from regrasp_opt.errors import PoseError
-from regrasp_opt.feasibility.geometry import mesh_geometry, shape_geometry
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.workcell import Workcell
+
+if TYPE_CHECKING:
+    from regrasp_opt.planning.problem import RegraspProblem
 
 RESTING_TOLERANCE = 1e-3
 """How far the lowest point of a start or goal may be from the table top [m]."""
 
 
-def checked_end(T: Any, name: str, model: ObjectModel, workcell: Workcell) -> FloatArray:
-    """Return the pose `T` as a rigid (4, 4) transform at which the object can rest in the workcell.
+def checked_end(T: Any, name: str, problem: RegraspProblem) -> FloatArray:
+    """Return the pose `T` as a rigid (4, 4) transform at which the problem's object can rest in its workcell.
 
     Raises
     ------
@@ -27,18 +28,16 @@ def checked_end(T: Any, name: str, model: ObjectModel, workcell: Workcell) -> Fl
         base, or lies outside the workspace or the arm's reach; `name` (start or goal) is in the message.
     """
     T = as_pose(T, f"{name} pose")
-    vertices = model.vertices @ T[:3, :3].T + T[:3, 3]
-    _check_workspace(T, name, model, workcell, vertices)
-    gap = float(vertices[:, 2].min()) - workcell.table.height
+    vertices = problem.object.vertices @ T[:3, :3].T + T[:3, 3]
+    _check_workspace(T, name, problem.object, problem.workcell, vertices)
+    gap = float(vertices[:, 2].min()) - problem.workcell.table.height
     if gap > RESTING_TOLERANCE:
         raise PoseError(f"the object floats {gap * 1e3:.1f} mm above the table at the {name} pose; lower it")
     if gap < -RESTING_TOLERANCE:
         raise PoseError(f"the object sinks {-gap * 1e3:.1f} mm into the table at the {name} pose; raise it")
-    body = coal.CollisionObject(mesh_geometry(model.vertices, model.faces), coal.Transform3s(T[:3, :3], T[:3, 3]))
-    for obstacle, what in _static_bodies(workcell):
-        request, result = coal.CollisionRequest(), coal.CollisionResult()
-        if coal.collide(body, obstacle, request, result):
-            raise PoseError(f"the object overlaps {what} at the {name} pose; move it away")
+    overlapped = problem.checker.object_overlaps(T, 0.0)
+    if overlapped is not None:
+        raise PoseError(f"the object overlaps {overlapped} at the {name} pose; move it away")
     return T
 
 
@@ -57,16 +56,3 @@ def _check_workspace(T: FloatArray, name: str, model: ObjectModel, workcell: Wor
             f"the {name} pose is out of reach: the object is {distance:.2f} m from the robot's base, "
             f"which reaches {reach:.2f} m; move it nearer"
         )
-
-
-def _static_bodies(workcell: Workcell) -> list[tuple[Any, str]]:
-    bodies = []
-    for shape in workcell.obstacles:
-        pose = coal.Transform3s(shape.pose[:3, :3], shape.pose[:3, 3])
-        bodies.append((coal.CollisionObject(shape_geometry(shape), pose), f"the obstacle '{shape.name}'"))
-    for item in workcell.robot.collision.geometryObjects:
-        if item.parentJoint == 0:
-            T = workcell.T_world_base @ item.placement.homogeneous
-            pose = coal.Transform3s(T[:3, :3], T[:3, 3])
-            bodies.append((coal.CollisionObject(item.geometry, pose), "the robot's base"))
-    return bodies

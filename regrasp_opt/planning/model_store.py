@@ -1,6 +1,6 @@
 """Where prepared models live and how one is found for an object and a workcell.
 
-A model is a folder: the grasps, our energy, the paper's preset trained on the same data, and a report. Bundled
+A model is a folder: the grasps, our energy, the paper's preset trained on the same data, and a model card. Bundled
 models come with the package; others are kept in the user's data folder under a hash of object and workcell.
 """
 
@@ -11,14 +11,16 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+from regrasp_opt.energy.model import EnergyModel
+from regrasp_opt.energy.storage import load_energy
 from regrasp_opt.errors import ModelError
 from regrasp_opt.files import atomic_path, content_hash, data_home
+from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.workcell import Workcell
 
 GRASPS_FILE = "grasps.npz"
-ENERGY_FILE = "energy.safetensors"
-PAPER_ENERGY_FILE = "energy-paper.safetensors"
+ENERGY_FILES = {"default": "energy.safetensors", "paper": "energy-paper.safetensors"}
 REPORT_FILE = "report.json"
 FORMAT = 1
 
@@ -83,6 +85,35 @@ def read_report(folder: Path) -> dict[str, Any]:
     if not isinstance(report, dict) or report.get("format") != FORMAT or "key" not in report:
         raise ModelError(f"'{path}' is no model report of format {FORMAT}; run 'regrasp-opt prepare' again")
     return report
+
+
+def load_prepared_grasps(folder: Path) -> GraspSet:
+    """Return the grasps of the model in `folder`.
+
+    Raises
+    ------
+    ModelError
+        If they are not those that the model was prepared with.
+    """
+    grasps = GraspSet.load(folder / GRASPS_FILE)
+    if grasps.fingerprint() != read_report(folder).get("grasps_fingerprint"):
+        raise ModelError(f"the grasps in '{folder}' are not those of its model; run 'regrasp-opt prepare' again")
+    return grasps
+
+
+def load_prepared_energy(folder: Path, preset: str, key: str) -> EnergyModel:
+    """Return the energy of `preset` in `folder`, which must have been trained under the model key `key`.
+
+    Raises
+    ------
+    ModelError
+        If the file is missing or corrupt, or was trained for another object or workcell.
+    """
+    path = folder / ENERGY_FILES[preset]
+    model = load_energy(path)
+    if model.metadata.get("key") != key:
+        raise ModelError(f"'{path}' was trained for another object or workcell; run 'regrasp-opt prepare' again")
+    return model
 
 
 def write_report(folder: Path, report: dict[str, Any]) -> None:

@@ -6,7 +6,7 @@ import json
 import math
 import os
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -23,6 +23,8 @@ from regrasp_opt.workcell import load_workcell
 SCHEMA = 1
 
 Row = list[float]
+Planar = Annotated[list[float], Field(min_length=3, max_length=3)]
+Number = Annotated[int, Field(ge=0, lt=2**31)]
 
 
 class _Record(BaseModel):
@@ -44,7 +46,7 @@ class _Grasp(_Record):
 
 
 class _Transition(_Record):
-    grasp_ids: list[int]
+    grasp_ids: list[Number]
     q_pick: list[Row]
     q_place: list[Row]
     clearance: list[float]
@@ -58,8 +60,8 @@ class _File(_Record):
     poses: list[list[Row]]
     transitions: list[_Transition]
     timings: dict[str, float]
-    placements: list[int]
-    xi: list[Row]
+    placements: list[Number]
+    xi: list[Planar]
     seed: int
     refiner_stats: list[dict[str, Any]]
     object: _Reference

@@ -15,7 +15,7 @@ from typing import Any
 import joblib
 import numpy as np
 
-from regrasp_opt.conventions import translation
+from regrasp_opt.conventions import as_seed, translation
 from regrasp_opt.energy.calibration import calibrate
 from regrasp_opt.energy.features import pair_features
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
@@ -33,9 +33,8 @@ from regrasp_opt.files import data_home
 from regrasp_opt.grasps import GraspSet, sample_grasps
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.planning.model_store import (
-    ENERGY_FILE,
+    ENERGY_FILES,
     GRASPS_FILE,
-    PAPER_ENERGY_FILE,
     default_folder,
     model_key,
     write_report,
@@ -77,7 +76,8 @@ def prepare(
     -------
     folder : Path
     report : dict
-        Counts, times [s], and average precision and F1 on held-out poses of our energy and of the paper's preset.
+        Counts, times [s], and average precision, AUROC, F1 and reliability on held-out
+        poses of our energy and of the paper's preset.
 
     Raises
     ------
@@ -90,6 +90,7 @@ def prepare(
         raise OptionError(f"samples is {samples} and num_grasps {num_grasps}; give at least 100 and 1")
     if not model.placements:
         raise GraspError(f"'{model.name}' has no stable placement on a table; check the mesh's shape and scale")
+    seed = as_seed(seed)
     tell = progress or (lambda *_: None)
     folder = default_folder(model, workcell) if out is None else Path(out)
     times: dict[str, float] = {}
@@ -119,11 +120,15 @@ def prepare(
             tell("training", len(energies), len(PRESETS))
     times["training"] = time.perf_counter() - began
 
+    key = model_key(model, workcell)
     grasps.save(folder / GRASPS_FILE)
-    save_energy(energies["paper"], folder / PAPER_ENERGY_FILE)
-    save_energy(energies["default"], folder / ENERGY_FILE)
+    for name, energy in energies.items():
+        stamped = replace(energy, metadata={**energy.metadata, "key": key, "grasps": grasps.fingerprint()})
+        save_energy(stamped, folder / ENERGY_FILES[name])
     report = {
-        "key": model_key(model, workcell),
+        "key": key,
+        "grasps_fingerprint": grasps.fingerprint(),
+        "command": _command(model, workcell, samples, num_grasps, seed),
         "object": model.name,
         "workcell": workcell.name,
         "seed": seed,
@@ -137,6 +142,12 @@ def prepare(
     }
     write_report(folder, report)
     return folder, report
+
+
+def _command(model: ObjectModel, workcell: Workcell, samples: int, num_grasps: int, seed: int) -> str:
+    """Return the command line that makes this model."""
+    body, cell = (item.name if item.source == "built-in" else item.source for item in (model, workcell))
+    return f"regrasp-opt prepare {body} --workcell {cell} --samples {samples} --grasps {num_grasps} --seed {seed}"
 
 
 def _train_and_calibrate(

@@ -6,21 +6,18 @@ import os
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-import coal
 import numpy as np
 
 from regrasp_opt.connectivity.embedding import ProblemEnergy
-from regrasp_opt.conventions import BoolArray, FloatArray, as_pose, translation
-from regrasp_opt.energy.storage import load_energy
-from regrasp_opt.errors import GraspError, ModelError
+from regrasp_opt.conventions import BoolArray, FloatArray, as_pose, planar_transform, translation
+from regrasp_opt.errors import GraspError, ModelError, PoseError
 from regrasp_opt.feasibility import FeasibilityChecker
-from regrasp_opt.feasibility.geometry import mesh_geometry, shape_geometry
 from regrasp_opt.files import data_home
 from regrasp_opt.grasps import GraspSet, sample_grasps
 from regrasp_opt.objects import ObjectModel, Placement, load_object
-from regrasp_opt.planning.model_store import ENERGY_FILE, GRASPS_FILE, find_model
+from regrasp_opt.planning.model_store import find_model, load_prepared_energy, load_prepared_grasps, model_key
 from regrasp_opt.solvers import PoseLattice
 from regrasp_opt.workcell import Workcell, load_workcell
 
@@ -49,6 +46,7 @@ class RegraspProblem:
     grasps: GraspSet
     placements: tuple[Placement, ...]
     model_folder: Path | None = None
+    preset: Literal["default", "paper"] = "default"
 
     @staticmethod
     def load(
@@ -60,6 +58,7 @@ class RegraspProblem:
         grasps: GraspSet | None = None,
         scale: float = 1.0,
         repair: bool = False,
+        preset: Literal["default", "paper"] = "default",
     ) -> RegraspProblem:
         """Load a problem by names or paths.
 
@@ -77,6 +76,8 @@ class RegraspProblem:
             Plan with these instead of the prepared ones; an energy knows grasps by their geometry, not their number.
         scale, repair
             As of `load_object`.
+        preset : {"default", "paper"}
+            Which of the prepared energies to plan with.
 
         Raises
         ------
@@ -93,12 +94,12 @@ class RegraspProblem:
         folder = find_model(body, workcell, None if model is None else Path(model))
         if grasps is None:
             if folder is not None:
-                grasps = GraspSet.load(folder / GRASPS_FILE)
+                grasps = load_prepared_grasps(folder)
             else:
                 grasps = sample_grasps(body, workcell.end_effector, DEFAULT_GRASPS)
         lift = translation(0.0, 0.0, workcell.table.height)
         placements = tuple(Placement(lift @ p.pose, p.margin) for p in body.placements)
-        return RegraspProblem(body, workcell, grasps, placements, folder)
+        return RegraspProblem(body, workcell, grasps, placements, folder, preset)
 
     @cached_property
     def checker(self) -> FeasibilityChecker:
@@ -124,13 +125,27 @@ class RegraspProblem:
                 f"no model was prepared for '{self.object.name}' in workcell '{self.workcell.name}'; run "
                 f"'regrasp-opt prepare {_argument(self.object)} --workcell {_argument(self.workcell)}'"
             )
-        return ProblemEnergy(load_energy(self.model_folder / ENERGY_FILE), self.grasps, self.placement_poses)
+        model = load_prepared_energy(self.model_folder, self.preset, model_key(self.object, self.workcell))
+        return ProblemEnergy(model, self.grasps, self.placement_poses)
 
     @cached_property
     def lattice(self) -> PoseLattice:
         """The lattice of poses with their energies; kept on disk under a hash, and in memory."""
         cache = data_home() / "lattices"
         return PoseLattice.build(self.energy, self.placement_poses, self.workcell.bounds.array, cache)
+
+    def pose(self, placement: int, x: float, y: float, yaw: float = 0.0) -> FloatArray:
+        """Return the pose (4, 4) T_world_object of a stable placement moved by (x, y, yaw) [m, m, rad] (Eq. 6).
+
+        Raises
+        ------
+        PoseError
+            If there is no placement of that number.
+        """
+        if not 0 <= placement < len(self.placements):
+            last = len(self.placements) - 1
+            raise PoseError(f"there is no placement {placement}; '{self.object.name}' has placements 0 to {last}")
+        return planar_transform(np.array([x, y, yaw])) @ self.placement_poses[placement]
 
     def feasible_grasps(self, T: Any) -> BoolArray:
         """Return which grasps (G,) are feasible at object pose `T` (4, 4) T_world_object, exactly.
@@ -141,29 +156,6 @@ class RegraspProblem:
             If `T` is no rigid transform.
         """
         return self.checker.feasible(as_pose(T))
-
-    def object_collides(self, T: FloatArray) -> bool:
-        """Return whether the object at pose `T` (4, 4) is nearer to an obstacle or the base than the clearance."""
-        body = coal.CollisionObject(self._object_geometry, coal.Transform3s(T[:3, :3], T[:3, 3]))
-        request = coal.CollisionRequest()
-        request.security_margin = self.workcell.clearance.gripper
-        return any(coal.collide(body, item, request, coal.CollisionResult()) for item in self._static)
-
-    @cached_property
-    def _object_geometry(self) -> Any:
-        return mesh_geometry(self.object.vertices, self.object.faces)
-
-    @cached_property
-    def _static(self) -> list[Any]:
-        items = [
-            coal.CollisionObject(shape_geometry(s), coal.Transform3s(s.pose[:3, :3], s.pose[:3, 3]))
-            for s in self.workcell.obstacles
-        ]
-        for body in self.workcell.robot.collision.geometryObjects:
-            if body.parentJoint == 0:
-                T = self.workcell.T_world_base @ body.placement.homogeneous
-                items.append(coal.CollisionObject(body.geometry, coal.Transform3s(T[:3, :3], T[:3, 3])))
-        return items
 
 
 def _argument(item: ObjectModel | Workcell) -> str:

@@ -51,14 +51,17 @@ class TransitionResiduals:
         Least distance of a joint from its limits [rad]; negative outside.
     collision_margin : (K, 2)
         Least (distance - required clearance) over all pairs of bodies [m]; negative if a plan's claim is false.
-    nearest : (K, 2) nested tuple of str
-        The pair of bodies with that margin.
+    clearance_error : (K,)
+        How far the claimed clearance exceeds the recomputed one [m]; negative where the claim was modest.
+    nearest : tuple of pairs of str
+        The two bodies with the least margin, for pick and place of each grasp in turn.
     """
 
     position_error: FloatArray
     rotation_error: FloatArray
     limit_margin: FloatArray
     collision_margin: FloatArray
+    clearance_error: FloatArray
     nearest: tuple[tuple[str, str], ...]
 
 
@@ -124,7 +127,7 @@ def _placement_errors(plan: RegraspPlan, problems: list[str]) -> FloatArray:
 def _transition(scene: _Scene, transition: Transition, ends: FloatArray) -> TransitionResiduals:
     robot, grasps = scene.problem.workcell.robot, scene.problem.grasps
     count = len(transition.grasp_ids)
-    position, rotation, limit, collision = (np.zeros((count, 2)) for _ in range(4))
+    position, rotation, limit, collision, clearance = (np.zeros((count, 2)) for _ in range(5))
     nearest = []
     for k, grasp_id in enumerate(transition.grasp_ids.tolist()):
         for side, (T, q) in enumerate(zip(ends, (transition.q_pick[k], transition.q_place[k]), strict=True)):
@@ -132,9 +135,10 @@ def _transition(scene: _Scene, transition: Transition, ends: FloatArray) -> Tran
             wanted = T @ grasps.T_object_tcp[grasp_id]
             position[k, side], rotation[k, side] = pose_distance(T_world_tcp, wanted)
             limit[k, side] = min((q - robot.lower).min(), (robot.upper - q).min())
-            collision[k, side], pair = scene.least_margin(arm, T_world_tcp, T, grasp_id)
+            collision[k, side], clearance[k, side], pair = scene.margins(arm, T_world_tcp, T, grasp_id)
             nearest.append(pair)
-    return TransitionResiduals(position, rotation, limit, collision, tuple(nearest))
+    excess = transition.clearance - clearance.min(axis=1)
+    return TransitionResiduals(position, rotation, limit, collision, excess, tuple(nearest))
 
 
 def _violations(transition: Transition, residuals: TransitionResiduals) -> list[str]:
@@ -157,6 +161,9 @@ def _violations(transition: Transition, residuals: TransitionResiduals) -> list[
             which = f"grasp {transition.grasp_ids[k]} at its {('pick', 'place')[side]}"
             detail = f" ({' and '.join(residuals.nearest[2 * k + side])})" if "bodies" in text else ""
             texts.append(f"{which}: {text.format(sign * values[k, side])}{detail}")
+    for k in np.flatnonzero(~(residuals.clearance_error <= CLEARANCE_TOLERANCE)):
+        claim = f"claims {residuals.clearance_error[k]:.2g} m more clearance than it has"
+        texts.append(f"grasp {transition.grasp_ids[k]}: {claim}")
     return texts
 
 
@@ -182,10 +189,10 @@ class _Scene:
         T_base_tip = data.oMf[robot.model.getFrameId(robot.tip_frame)].homogeneous
         return bodies, cell.T_world_base @ T_base_tip @ cell.end_effector.T_flange_tcp
 
-    def least_margin(
+    def margins(
         self, arm: list[Body], T_world_tcp: FloatArray, T: FloatArray, grasp_id: int
-    ) -> tuple[float, tuple[str, str]]:
-        """Return the least (distance - required clearance) over all pairs of bodies [m], and that pair."""
+    ) -> tuple[float, float, tuple[str, str]]:
+        """Return the least (distance - required clearance) [m], the distance to the surroundings [m], and the pair."""
         cell = self.problem.workcell
         joints = [item.parentJoint for item in cell.robot.collision.geometryObjects]
         palm, closed, opened = self._gripper(T_world_tcp @ invert(cell.end_effector.T_flange_tcp), grasp_id)
@@ -196,13 +203,17 @@ class _Scene:
         clearance = cell.clearance
         pairs = [(a, b, clearance.arm) for a in moving for b in (*self.fixed, held)]
         pairs += [(a, b, clearance.gripper) for a in gripper for b in self.fixed]
+        surroundings = len(pairs)
         pairs += [(a, held, 0.0) for a in (*palm, *opened)]
+        pairs += [(held, b, 0.0) for b, joint in zip(arm, joints, strict=True) if joint == 0]
         pairs += [(a, b, clearance.self_collision) for a in gripper for b in before_tip]
         pairs += [(arm[i], arm[j], clearance.self_collision) for i, j in cell.robot.self_collision_pairs()]
         pairs += [(held, b, 0.0) for b in self.fixed[1:]]
-        margins = [_distance(a, b) - required for a, b, required in pairs]
+        distances = np.array([_distance(a, b) for a, b, _ in pairs])
+        margins = distances - np.array([required for *_, required in pairs])
         worst = int(np.argmin(margins))
-        return margins[worst], (pairs[worst][0].name, pairs[worst][1].name)
+        nearest = pairs[worst][0].name, pairs[worst][1].name
+        return float(margins[worst]), float(distances[:surroundings].min()), nearest
 
     def _gripper(self, T_world_flange: FloatArray, grasp_id: int) -> tuple[list[Body], ...]:
         """Return the palm, the fingers at the grasp width, and the fingers at the approach width."""

@@ -9,65 +9,23 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from regrasp_opt.connectivity import CostOptions, SequenceObjective, exact_energy, pair_score
-from regrasp_opt.conventions import FloatArray
-from regrasp_opt.errors import OptionError, UnknownNameError
+from regrasp_opt.connectivity import BLOCKED, CostOptions, SequenceObjective, exact_energy, pair_score
+from regrasp_opt.conventions import FloatArray, as_seed
+from regrasp_opt.errors import OptionError
 from regrasp_opt.planning.ends import checked_end
 from regrasp_opt.planning.plan import RegraspPlan, Status
 from regrasp_opt.planning.problem import RegraspProblem
+from regrasp_opt.planning.recipes import Recipe, as_recipe
 from regrasp_opt.planning.verification import PoseKnowledge, enumerate_transition, prove_sequence
-from regrasp_opt.solvers import (
-    Candidates,
-    LangevinRefiner,
-    LatticeRefiner,
-    NlpRefiner,
-    Refiner,
-    lattice_starts,
-    random_starts,
-)
+from regrasp_opt.solvers import Candidates, Refiner
 
 MAX_REGRASPS = 8
-FIRST_STARTS, REFINED_STARTS = 2, 6
-"""Lattice chains that are refined first, and in all if none of those is proved, for each N."""
-PROVED_CHAINS = 400
-"""Lattice chains that are proved unrefined for each N if no refined one was."""
-
-
-@dataclass(frozen=True)
-class Recipe:
-    """A refiner, where its start points come from, and how many candidates are proved.
-
-    Attributes
-    ----------
-    refiner : Refiner
-    starts : {"lattice", "random"}
-        Chains of lattice poses, the most promising first, or random sequences (Alg. 1, line 2).
-    batches : tuple of int
-        How many start points are refined and proved at a time, until a candidate is proved.
-    proved : int
-        Candidates of a batch that are proved at most, the cheapest first (``K_top`` of Alg. 2).
-    fallback : int
-        Lattice chains that are proved as they are, if no refined candidate was.
-    """
-
-    refiner: Refiner
-    starts: Literal["lattice", "random"] = "lattice"
-    batches: tuple[int, ...] = (FIRST_STARTS, REFINED_STARTS - FIRST_STARTS)
-    proved: int = REFINED_STARTS
-    fallback: int = PROVED_CHAINS
-
-
-RECIPES: dict[str, Callable[[], Recipe]] = {
-    "ipopt": lambda: Recipe(NlpRefiner()),
-    "langevin": lambda: Recipe(LangevinRefiner(), starts="random", batches=(1000,), proved=50, fallback=0),
-    "lattice": lambda: Recipe(LatticeRefiner(), batches=(PROVED_CHAINS,), proved=PROVED_CHAINS, fallback=0),
-}
+"""Largest number of intermediate poses that can be asked for."""
 
 
 def solve_sequence(
@@ -88,15 +46,16 @@ def solve_sequence(
     problem : RegraspProblem
     start, goal : (4, 4) array_like
         T_world_object; the object rests on the table at both.
-    refiner : {"ipopt", "langevin", "lattice"} or Refiner or Recipe
-        What improves candidate sequences. ``ipopt`` refines lattice chains, ``langevin`` is the paper's method,
-        ``lattice`` does not refine. Any object with the `Refiner` protocol gets lattice chains.
+    refiner : {"ipopt", "lattice", "langevin", "langevin-ipopt", "paper"} or Refiner or Recipe
+        What improves candidate sequences, see `regrasp_opt.planning.recipes`. An object with the `Refiner` protocol
+        gets lattice chains as start points.
     max_regrasps : int
         Largest number N of intermediate poses.
     seed : int
         The same seed gives the same plan on the same machine.
     time_limit : float, optional
-        Seconds after which the search gives up between two candidates.
+        Seconds after which the search gives up between two candidates; the plan then holds the poses of the cheapest
+        candidate so far, unproved and without transitions.
     options : CostOptions, optional
         Parameters of ``J_seq``; the paper's by default.
 
@@ -114,14 +73,14 @@ def solve_sequence(
     ModelError
         If no energy was prepared for the problem.
     """
-    recipe = _recipe(refiner)
+    recipe, seed = as_recipe(refiner), as_seed(seed)
     if not isinstance(max_regrasps, (int, np.integer)) or not 0 <= max_regrasps <= MAX_REGRASPS:
         raise OptionError(f"max_regrasps is {max_regrasps}; give a whole number from 0 to {MAX_REGRASPS}")
     if time_limit is not None and not time_limit > 0:
         raise OptionError(f"time_limit is {time_limit}; give a positive number of seconds")
     clock = _Clock(time_limit)
-    T_start = checked_end(start, "start", problem.object, problem.workcell)
-    T_goal = checked_end(goal, "goal", problem.object, problem.workcell)
+    T_start = checked_end(start, "start", problem)
+    T_goal = checked_end(goal, "goal", problem)
     with clock.timed("ends"):
         ends = [PoseKnowledge(problem.checker, T) for T in (T_start, T_goal)]
         feasible = [end.all() for end in ends]
@@ -130,18 +89,6 @@ def solve_sequence(
         if not knowledge.any():
             return search.result(status)
     return search.run(int(max_regrasps))
-
-
-def _recipe(refiner: Any) -> Recipe:
-    if isinstance(refiner, Recipe):
-        return refiner
-    if isinstance(refiner, str):
-        if refiner not in RECIPES:
-            raise UnknownNameError("refiner", refiner, RECIPES)
-        return RECIPES[refiner]()
-    if not callable(getattr(refiner, "refine", None)):
-        raise OptionError("the refiner has no method 'refine'; give one of 'ipopt', 'langevin', 'lattice' or a Refiner")
-    return Recipe(refiner)
 
 
 @dataclass
@@ -188,6 +135,7 @@ class _Search:
         self.problem, self.recipe, self.ends, self.clock, self.seed = problem, recipe, ends, clock, seed
         self.options = options
         self.stats: list[dict[str, Any]] = []
+        self.cheapest: Candidates | None = None
 
     def run(self, max_regrasps: int) -> RegraspPlan:
         start, goal = self.ends
@@ -199,7 +147,7 @@ class _Search:
             if found is not None:
                 return found
             if self.clock.over:
-                return self.result(Status.TIME_LIMIT)
+                return self._best_so_far()
         return self.result(Status.NOT_FOUND)
 
     def _at_depth(self, num_regrasps: int) -> RegraspPlan | None:
@@ -207,11 +155,7 @@ class _Search:
         objective, recipe = self.objective, self.recipe
         rng = np.random.default_rng([self.seed, num_regrasps])
         with self.clock.timed("starts"):
-            wanted = sum(recipe.batches)
-            if recipe.starts == "random":
-                chains = random_starts(objective, num_regrasps, wanted, rng)
-            else:
-                chains = lattice_starts(self.problem.lattice, objective, num_regrasps, wanted + recipe.fallback, rng)
+            chains = recipe.start_points(lambda: self.problem.lattice, objective, num_regrasps, rng)
         first = 0
         for size in recipe.batches:
             starts = chains.take(slice(first, first + size))
@@ -220,7 +164,11 @@ class _Search:
                 refined = recipe.refiner.refine(objective, starts, rng)
             entry = {"num_regrasps": num_regrasps, "refiner": recipe.refiner.name, **refined.stats}
             self.stats.append(entry)
-            found = self._first_proved(objective, refined.candidates.best(recipe.proved), entry)
+            ranked = refined.candidates.best(recipe.proved)
+            self.cheapest = ranked.take(slice(0, 1))
+            if recipe.check == "threshold":
+                return self._by_threshold(objective, ranked, entry)
+            found = self._first_proved(objective, ranked, entry)
             if found is not None or self.clock.over:
                 return found
         if not recipe.fallback:
@@ -243,9 +191,28 @@ class _Search:
                 return self._plan(objective, candidates, index, chain)
         return None
 
+    def _by_threshold(
+        self, objective: SequenceObjective, candidates: Candidates, entry: dict[str, Any]
+    ) -> RegraspPlan | None:
+        """Return what becomes of the cheapest candidate all of whose pairs pass `h` (Alg. 2); None if none passes."""
+        poses = objective.poses(candidates.placements, candidates.xi)
+        energies = objective.chain(objective.energy(poses))
+        summed = energies[:, :-1] + energies[:, 1:]
+        passing = np.flatnonzero((summed <= self.problem.energy.model.threshold).any(axis=2).all(axis=1))
+        entry["threshold_passed"] = len(passing)
+        if len(passing) == 0:
+            return None
+        index = int(passing[0])
+        with self.clock.timed("verify"):
+            chain = self._prove(objective, candidates, index)
+        if chain is None:
+            return self.result(Status.NOT_FOUND)
+        entry["accepted"] = index
+        return self._plan(objective, candidates, index, chain)
+
     def _prove(self, objective: SequenceObjective, candidates: Candidates, index: int) -> list[PoseKnowledge] | None:
         poses = objective.poses(candidates.placements[index], candidates.xi[index])
-        if any(self.problem.object_collides(T) for T in poses):
+        if any(self.problem.checker.object_collides(T) for T in poses):
             return None
         energies = objective.chain(objective.energy(poses)[None])[0]
         chain = [self.ends[0], *(PoseKnowledge(self.problem.checker, T) for T in poses), self.ends[1]]
@@ -258,13 +225,30 @@ class _Search:
         cost = float(objective.cost(picked.placements, picked.xi)[0])
         return self.result(Status.SOLVED, cost=cost, chain=chain, placements=picked.placements[0], xi=picked.xi[0])
 
+    def _best_so_far(self) -> RegraspPlan:
+        if self.cheapest is None:
+            return self.result(Status.TIME_LIMIT)
+        best = self.cheapest
+        poses = self.objective.poses(best.placements[0], best.xi[0])
+        chain = [self.ends[0], *(PoseKnowledge(self.problem.checker, T) for T in poses), self.ends[1]]
+        return self.result(
+            Status.TIME_LIMIT, cost=float(best.cost[0]), chain=chain, placements=best.placements[0], xi=best.xi[0]
+        )
+
     @property
     def objective(self) -> SequenceObjective:
-        start, goal = (exact_energy(end.all()) for end in self.ends)
         problem = self.problem
+        start, goal = (self._end_energy(end) for end in self.ends)
         return SequenceObjective(
             problem.energy, problem.placement_poses, start, goal, problem.workcell.bounds.array, self.options
         )
+
+    def _end_energy(self, end: PoseKnowledge) -> FloatArray:
+        """Return the energies (G,) at a fixed end: exact ones, or learned ones where the paper's check is asked for."""
+        energy = self.problem.energy
+        if self.recipe.check == "threshold":
+            return energy(end.T)
+        return exact_energy(end.all()) if energy.model.bounded else np.where(end.all(), energy(end.T), BLOCKED)
 
     def result(
         self,

@@ -36,7 +36,7 @@ def random_graspable_pose(problem: RegraspProblem, rng: np.random.Generator) -> 
         placement, xi = random_poses(problem.placement_poses, bounds, 1, rng)
         T = planar_transform(xi[0]) @ problem.placement_poses[placement[0]]
         try:
-            checked_end(T, "start", problem.object, problem.workcell)
+            checked_end(T, "start", problem)
         except PoseError:
             continue
         if problem.feasible_grasps(T).any():

@@ -66,19 +66,17 @@ def prove_sequence(poses: list[PoseKnowledge], energies: FloatArray) -> bool:
 
 def enumerate_transition(checker: FeasibilityChecker, a: PoseKnowledge, b: PoseKnowledge) -> Transition:
     """Return the transition between two poses with all shared grasps, their configurations and clearances."""
-    dof = checker.workcell.robot.dof
-    ids, picks, places, clearances = [], [], [], []
-    for grasp_id in np.flatnonzero(a.all() & b.all()).tolist():
-        q_pick, q_place = nearest_pair(
-            checker, checker.configurations(a.T, grasp_id), checker.configurations(b.T, grasp_id)
-        )
-        ids.append(grasp_id)
+    ids = np.flatnonzero(a.all() & b.all())
+    picks, places, clearances = [], [], []
+    pairs = zip(ids.tolist(), checker.configurations(a.T, ids), checker.configurations(b.T, ids), strict=True)
+    for grasp_id, at_a, at_b in pairs:
+        q_pick, q_place = nearest_pair(checker, at_a, at_b)
         picks.append(q_pick)
         places.append(q_place)
         clearances.append(min(checker.clearance(a.T, grasp_id, q_pick), checker.clearance(b.T, grasp_id, q_place)))
-    shape = (len(ids), dof)
+    shape = (len(ids), checker.workcell.robot.dof)
     return Transition(
-        np.array(ids, dtype=np.int64),
+        ids,
         np.array(picks, dtype=np.float64).reshape(shape),
         np.array(places, dtype=np.float64).reshape(shape),
         np.array(clearances, dtype=np.float64),

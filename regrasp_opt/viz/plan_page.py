@@ -33,7 +33,7 @@ COLOURS = {
 def write_plan_page(plan: RegraspPlan, path: str | os.PathLike[str]) -> None:
     """Write the page to `path`; it needs no network."""
     with atomic_path(path) as temporary:
-        temporary.write_text(plan_figure(plan).to_html(include_plotlyjs=True, full_html=True), encoding="utf-8")
+        temporary.write_text(plan_figure(plan).to_html(include_plotlyjs=True, auto_play=False), encoding="utf-8")
 
 
 def plan_figure(plan: RegraspPlan) -> go.Figure:
@@ -61,10 +61,10 @@ def plan_figure(plan: RegraspPlan) -> go.Figure:
             "xaxis_title": "x [m]",
             "yaxis_title": "y [m]",
             "zaxis_title": "z [m]",
-            "camera": {"eye": {"x": 1.1, "y": 1.4, "z": 0.9}},
+            "camera": {"eye": {"x": 1.3, "y": 1.7, "z": 1.0}},
         },
         legend={"itemsizing": "constant"},
-        margin={"l": 0, "r": 0, "t": 50, "b": 0},
+        margin={"l": 30, "r": 10, "t": 50, "b": 40},
         sliders=[{"active": 0, "steps": slider_steps, "pad": {"t": 10}}] if slider_steps else [],
     )
     return figure

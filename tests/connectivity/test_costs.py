@@ -103,7 +103,7 @@ def test_fast_derivatives_equal_casadi_differentiation(make_energy, num_regrasps
     assert float(cost) == pytest.approx(expected, abs=1e-12)
     assert float(fast.cost(xi, parameters, ends)) == pytest.approx(expected, abs=1e-12)
     np.testing.assert_allclose(np.array(fast_gradient), gradient, atol=1e-10)
-    np.testing.assert_allclose(np.array(fast.hessian(xi, parameters, ends)), hessian, atol=1e-10)
+    np.testing.assert_allclose(np.array(fast.hessian(xi, parameters, ends, 1, 0)), hessian, atol=1e-10)
 
 
 @pytest.mark.parametrize("activation", ["silu", "tanh"])
@@ -121,7 +121,7 @@ def test_gradient_and_hessian_match_finite_differences(make_energy, activation):
 
     v = xi.T.ravel()
     assert_derivative(cost, gradient(v), v)
-    assert_derivative(gradient, np.array(functions.hessian(xi, parameters, ends)), v)
+    assert_derivative(gradient, np.array(functions.hessian(xi, parameters, ends, 1, 0)), v)
 
 
 def test_contract_functions_compose_differentiate_save_and_map(make_energy, tmp_path):
@@ -147,7 +147,7 @@ def test_extreme_energies_and_alpha_stay_finite(make_energy):
         functions = sequence_functions(CasadiEnergy(energy.model, len(energy)), CostOptions(alpha=alpha), 2)
         arguments = xi, layers_parameter(energy, placements), ends * 1e3
         assert np.isfinite(float(functions.cost(*arguments)))
-        assert np.isfinite(np.array(functions.hessian(*arguments))).all()
+        assert np.isfinite(np.array(functions.hessian(*arguments, 1, 0))).all()
 
 
 @pytest.mark.parametrize("wrong", [{"alpha": 0.0}, {"alpha": np.nan}, {"lambda_reg": -1.0}, {"variant": "J-"}])
@@ -159,3 +159,32 @@ def test_wrong_options_are_rejected(wrong):
 def test_the_truncated_cost_has_no_solver_functions(make_energy):
     with pytest.raises(OptionError, match="not differentiable"):
         sequence_functions(CasadiEnergy(make_energy().model, 12), CostOptions(variant="Jh", h=1.0), 1)
+
+
+def test_score_jacobian_and_weighted_hessian_match_finite_differences(make_energy):
+    energy = make_energy()
+    placements, xi, ends = _setting(energy, 3)
+    functions = sequence_functions(CasadiEnergy(energy.model, len(energy)), CostOptions(), 3)
+    parameters = layers_parameter(energy, placements)
+    multipliers = np.array([0.3, 0.0, 2.0, 1.0])
+
+    def scores(v):
+        return np.array(functions.scores(v.reshape(3, 3).T, parameters, ends)[0])[:, 0]
+
+    def weighted_gradient(v):
+        x = v.reshape(3, 3).T
+        gradient = np.array(functions.gradient(x, parameters, ends)[1])[:, 0]
+        return 0.7 * gradient + np.array(functions.scores(x, parameters, ends)[1]).T @ multipliers
+
+    v = xi.T.ravel()
+    assert_derivative(scores, np.array(functions.scores(xi, parameters, ends)[1]), v)
+    assert_derivative(weighted_gradient, np.array(functions.hessian(xi, parameters, ends, 0.7, multipliers)), v)
+
+
+@pytest.mark.parametrize("h", [-5.0, 1.5, 100.0])
+def test_truncated_casadi_cost_equals_numpy(make_energy, h):
+    energy = make_energy()
+    placements, xi, ends = _setting(energy, 2)
+    options = CostOptions(variant="Jh", h=h)
+    _, _, J = connectivity_functions(energy, options, *ends.T, placements)
+    assert float(J(xi)) == pytest.approx(_numpy_cost(energy, options, placements, xi, ends), abs=1e-9)

@@ -34,6 +34,13 @@ def touches(a, b, margin):
                              shape_b, coal.Transform3s(T_b[:3, :3], T_b[:3, 3]), request, result))  # fmt: skip
 
 
+def gap(a, b):
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    (shape_a, T_a), (shape_b, T_b) = a, b
+    return float(coal.distance(shape_a, coal.Transform3s(T_a[:3, :3], T_a[:3, 3]),
+                               shape_b, coal.Transform3s(T_b[:3, :3], T_b[:3, 3]), request, result))  # fmt: skip
+
+
 class PlainCheck:
     """The bodies of one object, workcell and grasp set."""
 
@@ -57,33 +64,45 @@ class PlainCheck:
                 boxes.append((coal.Box(x, y + tool.pre_opening, z), T_world_flange @ pose))
         return boxes
 
-    def pairs(self, q, T, grasp_id):
-        """Yield (body, body, least distance) for everything that must not touch at configuration `q`."""
+    def bodies(self, q, grasp_id):
+        """Return the arm's bodies, the joint that each moves with (0 for the base), and the gripper's bodies."""
         robot, cell = self.cell.robot, self.cell
-        arm_margin, gripper_margin, self_margin = (
-            cell.clearance.arm,
-            cell.clearance.gripper,
-            cell.clearance.self_collision,
-        )
         frames = cell.T_world_base @ np.concatenate([np.eye(4)[None], robot.link_transforms(q)])
         items = list(robot.collision.geometryObjects)
         arm = [(item.geometry, frames[item.parentJoint] @ item.placement.homogeneous) for item in items]
-        joint = [item.parentJoint for item in items]
         gripper = self.gripper(cell.T_world_base @ robot.forward(q), grasp_id)
+        return arm, [item.parentJoint for item in items], gripper
+
+    def outer_pairs(self, q, T, grasp_id):
+        """Yield (body, body, least distance) for arm and gripper against what is around them."""
+        arm, joint, gripper = self.bodies(q, grasp_id)
         for body, j in zip(arm, joint, strict=True):
             if j > 0:
                 for other in (self.table, (self.object, T), *self.obstacles):
-                    yield body, other, arm_margin
-            if j < robot.dof:
-                for tool in gripper:
-                    yield tool, body, self_margin
+                    yield body, other, self.cell.clearance.arm
         for tool in gripper:
             for other in (self.table, *self.obstacles):
-                yield tool, other, gripper_margin
+                yield tool, other, self.cell.clearance.gripper
+
+    def pairs(self, q, T, grasp_id):
+        """Yield (body, body, least distance) for everything that must not touch at configuration `q`."""
+        arm, joint, gripper = self.bodies(q, grasp_id)
+        margins = self.cell.clearance
+        yield from self.outer_pairs(q, T, grasp_id)
+        for other in (*self.obstacles, *(body for body, j in zip(arm, joint, strict=True) if j == 0)):
+            yield (self.object, T), other, margins.gripper
+        for body, j in zip(arm, joint, strict=True):
+            if j < self.cell.robot.dof:
+                for tool in gripper:
+                    yield tool, body, margins.self_collision
         for i, body in enumerate(arm):
             for k in range(i):
                 if abs(joint[i] - joint[k]) > 1:
-                    yield body, arm[k], self_margin
+                    yield body, arm[k], margins.self_collision
+
+    def clearance(self, q, T, grasp_id):
+        """Return the least distance between arm or gripper and what is around them [m]."""
+        return min(gap(a, b) for a, b, _ in self.outer_pairs(q, T, grasp_id))
 
     def free(self, q, T, grasp_id):
         return not any(touches(a, b, margin) for a, b, margin in self.pairs(q, T, grasp_id))

@@ -145,7 +145,22 @@ def test_configurations_are_exactly_the_free_branches(bottle):
         assert len(free) == len(found)
         for q in found:
             assert cell.robot.within_limits(q)
-            assert checker.clearance(pose, grasp, q) >= min(cell.clearance.gripper, cell.clearance.self_collision)
+            clearance = checker.clearance(pose, grasp, q)
+            assert clearance >= min(cell.clearance.gripper, cell.clearance.arm)
+            assert clearance == pytest.approx(plain.clearance(q, pose, grasp), abs=1e-6)
+
+
+def test_clearance_does_not_depend_on_what_was_asked_before(bottle):
+    model, cell, grasps, checker = bottle
+    T, ids = draw(model, cell, 60, 4, len(grasps))
+    asked = [
+        (pose, grasp, q)
+        for pose, grasp in zip(T, ids.tolist(), strict=True)
+        for q in checker.configurations(pose, grasp)
+    ]
+    forward = [checker.clearance(*one) for one in asked]
+    backward = [checker.clearance(*one) for one in asked[::-1]][::-1]
+    assert forward == backward
 
 
 # ---- each way of being infeasible, built on one pair that is feasible
@@ -194,6 +209,14 @@ def test_rejected_because_an_obstacle_is_in_the_way(bottle, graspable):
     assert not is_feasible(bottle, T, grasp, replace(cell, obstacles=(crate,)))
     apart = Box("crate", np.array([0.05, 0.05, 0.05]), translation(0.6, 0.8, 0.1))
     assert is_feasible(bottle, T, grasp, replace(cell, obstacles=(apart,)))
+
+
+def test_rejected_because_the_object_overlaps_an_obstacle(bottle, graspable):
+    T, grasp = graspable
+    low = Box("pebble", np.array([0.02, 0.02, 0.004]), T @ translation(0.025, 0.0, 0.002))
+    assert not FeasibilityChecker(bottle[0], replace(bottle[1], obstacles=(low,)), bottle[2]).feasible(T).any()
+    beside = Box("pebble", np.array([0.02, 0.02, 0.004]), T @ translation(0.045, 0.0, 0.002))
+    assert is_feasible(bottle, T, grasp, replace(bottle[1], obstacles=(beside,)))
 
 
 def test_rejected_because_the_object_is_in_the_way_of_the_arm(bottle, graspable):

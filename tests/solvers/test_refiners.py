@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from regrasp_opt.connectivity import CostOptions, SequenceObjective, exact_energy
+from regrasp_opt.connectivity import CostOptions, SequenceObjective, exact_energy, pair_score
 from regrasp_opt.energy.features import feature_count
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
 from regrasp_opt.errors import OptionError
@@ -17,6 +17,7 @@ from regrasp_opt.solvers import (
     LatticeRefiner,
     NlpRefiner,
     PoseLattice,
+    ProgramOptions,
     lattice_starts,
     random_starts,
 )
@@ -25,8 +26,8 @@ BOUNDS = np.array([[-0.45, 0.1], [0.45, 0.6]])
 TARGET = np.array([0.1, 0.3])
 REFINERS = [
     NlpRefiner(),
-    NlpRefiner(hessian="limited-memory"),
-    NlpRefiner(plugin="sqpmethod"),
+    NlpRefiner(ProgramOptions(hessian="limited-memory")),
+    NlpRefiner(ProgramOptions(plugin="sqpmethod")),
     LangevinRefiner(device="cpu"),
     LatticeRefiner(),
 ]
@@ -159,10 +160,10 @@ def test_candidates_rank_by_cost():
     assert batch.best(2).xi[0, 0, 0] == 3.0
 
 
-@pytest.mark.parametrize("wrong", [{"max_iterations": 0}, {"tolerance": 0.0}])
+@pytest.mark.parametrize("wrong", [{"max_iterations": 0}, {"tolerance": 0.0}, {"plugin": "nothing"}])
 def test_wrong_solver_options_are_rejected(wrong):
     with pytest.raises(OptionError, match=next(iter(wrong))):
-        NlpRefiner(**wrong)
+        ProgramOptions(**wrong)
 
 
 def test_nlp_and_lattice_run_without_torch():
@@ -175,3 +176,30 @@ def test_nlp_and_lattice_run_without_torch():
         "sys.exit('torch' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("plugin", ["ipopt", "sqpmethod"])
+def test_pair_limit_is_kept_or_the_start_is_returned(plugin, random_objective):
+    starts = random_starts(random_objective, 2, 6, np.random.default_rng(4))
+
+    def scores(candidates):
+        middle = random_objective.energy(random_objective.poses(candidates.placements, candidates.xi))
+        chain = random_objective.chain(middle)
+        return pair_score(chain[:, :-1], chain[:, 1:])
+
+    free = NlpRefiner(ProgramOptions(plugin=plugin)).refine(random_objective, starts, np.random.default_rng(0))
+    limit = float(scores(free.candidates).max(axis=1).mean())
+    options = ProgramOptions(plugin=plugin, pair_limit=limit)
+    refined = NlpRefiner(options).refine(random_objective, starts, np.random.default_rng(0))
+    kept = (scores(refined.candidates) <= limit + 1e-5).all(axis=1)
+    unchanged = np.isclose(refined.candidates.xi, starts.xi, atol=1e-12).all(axis=(1, 2))
+    assert (kept | unchanged).all() and kept.any()
+
+
+def test_each_candidate_has_a_status_and_a_trace(random_objective):
+    starts = random_starts(random_objective, 1, 3, np.random.default_rng(4))
+    for refiner in REFINERS:
+        refined = refiner.refine(random_objective, starts, np.random.default_rng(0))
+        assert len(refined.status) == len(refined.traces) == 3
+        for trace, cost in zip(refined.traces, starts.cost, strict=True):
+            assert trace[0] == pytest.approx(cost, abs=1e-4)

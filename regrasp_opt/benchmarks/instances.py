@@ -1,0 +1,116 @@
+"""Seeded start-goal pairs, sorted by the fewest regrasps that the oracle needs, and frozen by hash."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from regrasp_opt.benchmarks.oracle import Oracle
+from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, planar_transform
+from regrasp_opt.errors import PoseError
+from regrasp_opt.feasibility.dataset import random_poses
+from regrasp_opt.files import content_hash
+from regrasp_opt.planning import RegraspProblem
+from regrasp_opt.planning.ends import checked_end
+
+POOL = 400
+"""Random poses among which pairs are chosen."""
+
+
+@dataclass(frozen=True, eq=False)
+class Instance:
+    """A planning task.
+
+    Attributes
+    ----------
+    name : str
+    start, goal : (4, 4)
+        T_world_object.
+    minimum : int or None
+        The fewest regrasps that the oracle needs; None if its grid holds no plan.
+    """
+
+    name: str
+    start: FloatArray
+    goal: FloatArray
+    minimum: int | None
+
+    @property
+    def tier(self) -> str:
+        """Name of the difficulty: 0, 1, 2, 3+ or unsolvable (at the oracle's resolution)."""
+        if self.minimum is None:
+            return "unsolvable"
+        return str(self.minimum) if self.minimum < 3 else "3+"
+
+
+TIERS = ("1", "2", "3+", "unsolvable")
+"""The difficulties of tasks that need a regrasp."""
+
+
+@dataclass(frozen=True, eq=False)
+class PosePool:
+    """Random resting poses `T` (P, 4, 4) in the workspace with the exact feasibility (P, G) of all grasps."""
+
+    T: FloatArray
+    feasible: BoolArray
+
+    @staticmethod
+    def draw(problem: RegraspProblem, seed: int, count: int = POOL) -> PosePool:
+        """Draw `count` poses and keep those at which the object can rest and some grasp is feasible."""
+        rng = np.random.default_rng([seed, 2])
+        numbers, xi = random_poses(problem.placement_poses, problem.workcell.bounds.array, count, rng)
+        T = planar_transform(xi) @ problem.placement_poses[numbers]
+        kept = np.array([_can_rest(problem, pose) for pose in T])
+        pool = PosePool(T[kept], np.array([problem.checker.feasible(pose) for pose in T[kept]]))
+        return pool.with_grasps(np.arange(len(problem.grasps)))
+
+    def with_grasps(self, ids: IntArray) -> PosePool:
+        """Return the poses at which one of the grasps `ids` is feasible, with these grasps alone."""
+        feasible = self.feasible.reshape(len(self.T), -1)[:, ids]
+        some = feasible.any(axis=1)
+        return PosePool(self.T[some], feasible[some])
+
+
+def _can_rest(problem: RegraspProblem, T: FloatArray) -> bool:
+    try:
+        checked_end(T, "start", problem)
+    except PoseError:
+        return False
+    return True
+
+
+def choose_instances(
+    pool: PosePool, oracle: Oracle, wanted: dict[str, int], rng: np.random.Generator, prefix: str
+) -> list[Instance]:
+    """Return random pairs of pool poses without a shared grasp, up to ``wanted[tier]`` of each tier.
+
+    Parameters
+    ----------
+    wanted : dict
+        Number of pairs by tier; the tier ``any`` draws from all pairs that need a regrasp.
+    prefix : str
+        Beginning of the instances' names.
+    """
+    table = oracle.minimum_table(pool.feasible)
+    off_diagonal = ~np.eye(len(table), dtype=bool)
+    masks = {
+        "any": table >= 1,
+        "1": table == 1,
+        "2": table == 2,
+        "3+": (table >= 3) & np.isfinite(table),
+        "unsolvable": np.isinf(table),
+    }
+    chosen = []
+    for tier, count in wanted.items():
+        pairs = np.argwhere(masks[tier] & off_diagonal)
+        for i, j in pairs[rng.permutation(len(pairs))[:count]]:
+            minimum = int(table[i, j]) if np.isfinite(table[i, j]) else None
+            chosen.append(Instance(f"{prefix}/{tier}/{len(chosen)}", pool.T[i], pool.T[j], minimum))
+    return chosen
+
+
+def instances_hash(instances: Sequence[Instance]) -> str:
+    """Return the hash that freezes `instances`: their names, poses and oracle minima."""
+    return content_hash("instances-1", *[[i.name, i.start, i.goal, i.minimum] for i in instances])[:16]

@@ -1,0 +1,207 @@
+"""Exact ground truth on a grid: which grasps are feasible at every pose, and the fewest regrasps between two poses.
+
+A regrasp changes the grasp at one pose, so two grasps are neighbours if some grid pose admits both, and the least
+number of intermediate poses between a start and a goal is the shortest path from a grasp that is feasible at the start
+to one that is feasible at the goal. That graph has one node for each grasp, however fine the grid is.
+
+The grid is checked in blocks, each stored as soon as it is done, under a hash of everything that it depends on.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from zipfile import BadZipFile
+
+import joblib
+import numpy as np
+from scipy.sparse.csgraph import shortest_path
+
+from regrasp_opt.benchmarks.subjects import resident
+from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, planar_transform
+from regrasp_opt.errors import OptionError
+from regrasp_opt.files import atomic_path, content_hash, data_home
+from regrasp_opt.planning import RegraspProblem
+
+BLOCK = 500
+"""Poses that are checked and stored together."""
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """How fine a grid is: ``spacing`` along x and y [m] and ``yaws`` in a turn."""
+
+    spacing: float
+    yaws: int
+
+    def __post_init__(self) -> None:
+        if not self.spacing > 0 or self.yaws < 1:
+            raise OptionError(f"a grid of spacing {self.spacing} and {self.yaws} yaws is none; give positive numbers")
+
+    def __str__(self) -> str:
+        return f"{self.spacing:g} m, {360 / self.yaws:g} degrees"
+
+
+PAPER_GRID = Resolution(0.01, 6)
+"""The grid of the paper's discrete baseline."""
+
+
+@dataclass(frozen=True, eq=False)
+class Oracle:
+    """Exact feasibility of G grasps on L grid poses.
+
+    Attributes
+    ----------
+    placements, xi : (L,), (L, 3)
+        Stable placement and planar parameters of each pose [m, m, rad].
+    feasible : (L, G) bool
+        All False where the object itself would touch an obstacle.
+    seconds : float
+        Processor time that the checks took, whenever they were made.
+    """
+
+    placements: IntArray
+    xi: FloatArray
+    feasible: BoolArray
+    seconds: float
+
+    def with_grasps(self, ids: IntArray) -> Oracle:
+        """Return the oracle of the grasps `ids` alone."""
+        return replace(self, feasible=self.feasible[:, ids])
+
+    @cached_property
+    def changes(self) -> FloatArray:
+        """The fewest regrasps (G, G) that lead from one grasp to another; infinite where none do."""
+        reached = self.feasible[self.feasible.any(axis=1)].astype(np.float32)
+        neighbours = (reached.T @ reached) > 0
+        return np.asarray(shortest_path(neighbours.astype(np.float64), directed=False, unweighted=True))
+
+    def minimum_regrasps(self, start: BoolArray, goal: BoolArray) -> int | None:
+        """Return the fewest intermediate grid poses between poses of feasible grasps `start` and `goal` (G,).
+
+        None means that the grid holds no plan.
+        """
+        between = self.changes[np.ix_(start, goal)]
+        least = float(between.min(initial=np.inf))
+        return int(least) if np.isfinite(least) else None
+
+    def minimum_table(self, feasible: BoolArray) -> FloatArray:
+        """Return `minimum_regrasps` (P, P) between all pairs of poses with `feasible` (P, G) grasps, or infinity."""
+        rows = feasible.astype(np.float32)
+        table = np.full((len(rows), len(rows)), np.inf)
+        finite = self.changes[np.isfinite(self.changes)]
+        for steps in range(int(finite.max(initial=0.0)), -1, -1):
+            within = (self.changes <= steps).astype(np.float32)
+            table[(rows @ within @ rows.T) > 0] = steps
+        return table
+
+    def one_step(self, start: BoolArray, goal: BoolArray) -> BoolArray:
+        """Return the grid poses (L,) that share a grasp with both ends."""
+        return (self.feasible & start).any(axis=1) & (self.feasible & goal).any(axis=1)
+
+
+def grid_poses(num_placements: int, bounds: FloatArray, resolution: Resolution) -> tuple[IntArray, FloatArray]:
+    """Return placement numbers (L,) and planar parameters (L, 3) of the grid over `bounds` (2, 2), ends included."""
+    axes = []
+    for low, high in bounds.T:
+        count = int((high - low) / resolution.spacing + 1e-9)
+        axes.append((low + high) / 2 + resolution.spacing * (np.arange(count + 1) - count / 2))
+    yaw = np.arange(resolution.yaws) * (2 * np.pi / resolution.yaws)
+    grid = np.meshgrid(np.arange(num_placements), *axes, yaw, indexing="ij")
+    return grid[0].ravel(), np.stack([g.ravel() for g in grid[1:]], axis=1)
+
+
+def build_oracle(
+    problem: RegraspProblem,
+    resolution: Resolution,
+    *,
+    jobs: int = -1,
+    progress: Callable[[int, int], None] | None = None,
+) -> Oracle:
+    """Check every grasp of `problem` on the grid, or read what was checked before.
+
+    Parameters
+    ----------
+    jobs : int
+        Workers, as joblib counts them.
+    progress : callable, optional
+        Called with (blocks done, blocks in all).
+
+    Notes
+    -----
+    Blocks are kept in the data folder. One that cannot be read is reported and made again.
+    """
+    numbers, xi = grid_poses(len(problem.placements), problem.workcell.bounds.array, resolution)
+    key = content_hash("oracle-1", problem_key(problem), xi, numbers)[:32]
+    folder = data_home() / "oracle" / key
+    firsts = range(0, len(numbers), BLOCK)
+    sizes = [min(BLOCK, len(numbers) - first) for first in firsts]
+    paths = [folder / f"{first:07d}.npz" for first in firsts]
+    stored = [_read(path, (size, len(problem.grasps))) for path, size in zip(paths, sizes, strict=True)]
+    missing = [i for i, block in enumerate(stored) if block is None]
+    done = len(paths) - len(missing)
+    if missing:
+        bare = replace(problem)  # without the heavy parts that may be attached
+        work = (joblib.delayed(_check_block)(bare, i, numbers[slice_of(i)], xi[slice_of(i)]) for i in missing)
+        with joblib.Parallel(n_jobs=jobs, return_as="generator_unordered") as parallel:
+            for i, block in parallel(work):
+                _write(paths[i], block)
+                stored[i] = block
+                done += 1
+                if progress is not None:
+                    progress(done, len(paths))
+    blocks = [block for block in stored if block is not None]
+    return Oracle(numbers, xi, np.concatenate([b.feasible for b in blocks]), sum(b.seconds for b in blocks))
+
+
+def problem_key(problem: RegraspProblem) -> str:
+    """Return a hash of what exact feasibility depends on: object, workcell, grasps and placements."""
+    parts = [problem.object.fingerprint(), problem.workcell.fingerprint(), problem.grasps.fingerprint()]
+    return content_hash(*parts, problem.placement_poses)
+
+
+def slice_of(block: int) -> slice:
+    """Return the poses of block number `block`."""
+    return slice(block * BLOCK, (block + 1) * BLOCK)
+
+
+@dataclass(frozen=True, eq=False)
+class _Block:
+    feasible: BoolArray
+    seconds: float
+
+
+def _check_block(problem: RegraspProblem, number: int, placements: IntArray, xi: FloatArray) -> tuple[int, _Block]:
+    problem = resident(problem)
+    began = time.process_time()
+    feasible = np.zeros((len(xi), len(problem.grasps)), dtype=bool)
+    for row, T in enumerate(planar_transform(xi) @ problem.placement_poses[placements]):
+        if not problem.checker.object_collides(T):
+            feasible[row] = problem.checker.feasible(T)
+    return number, _Block(feasible, time.process_time() - began)
+
+
+def _write(path: Path, block: _Block) -> None:
+    with atomic_path(path) as temporary:
+        np.savez_compressed(temporary, packed=np.packbits(block.feasible, axis=1), seconds=block.seconds)
+
+
+def _read(path: Path, shape: tuple[int, int]) -> _Block | None:
+    if not path.is_file():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            packed, seconds = stored["packed"], float(stored["seconds"])
+        good = packed.dtype == np.uint8 and packed.shape == (shape[0], -(-shape[1] // 8))
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+        good = False
+    if not good:
+        logger.warning("the stored ground truth '%s' is corrupt; it is made again", path)
+        return None
+    return _Block(np.unpackbits(packed, axis=1, count=shape[1]).astype(bool), seconds)

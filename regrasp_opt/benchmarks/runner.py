@@ -1,0 +1,183 @@
+"""Running the items of an experiment in parallel, so that a killed run goes on where it stopped.
+
+Every item has a key; its rows are written to one file, whole or not at all, under a hash of the key and of all that
+the rows depend on. A second run reads the files it finds and computes the others, so no row is repeated or lost.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import joblib
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from regrasp_opt.benchmarks.environment import git_revision
+from regrasp_opt.errors import OptionError, RegraspError
+from regrasp_opt.files import atomic_path, content_hash
+
+Row = dict[str, Any]
+"""One row of a result: column name to text, number, truth value or None."""
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Item:
+    """A piece of an experiment that one worker computes.
+
+    Attributes
+    ----------
+    key : str
+        Unique within the experiment.
+    depends : str
+        Hash of everything, besides the code, that the rows depend on.
+    function : callable
+        Called with `arguments` in a worker; returns rows. It lives at the top level of a module.
+    arguments : tuple
+    columns : dict
+        Columns that every row of this item starts with.
+    """
+
+    key: str
+    depends: str
+    function: Callable[..., list[Row]]
+    arguments: tuple[Any, ...]
+    columns: Row
+
+    @property
+    def file_name(self) -> str:
+        """Name of the file that holds the rows."""
+        return f"{content_hash('item-1', self.key, self.depends)[:32]}.json"
+
+
+@dataclass(frozen=True)
+class Results:
+    """The rows of a run in the order of its items, and the git revisions of the code that made them."""
+
+    rows: list[Row]
+    revisions: tuple[str, ...]
+
+
+def run_items(items: Sequence[Item], folder: Path, *, jobs: int = -1, quiet: bool = False) -> Results:
+    """Compute the rows of `items`, except where `folder` holds them already.
+
+    An item that raises a `RegraspError` becomes one row with its message in the column ``error``; it is tried again
+    in the next run.
+
+    Parameters
+    ----------
+    jobs : int
+        Workers, as joblib counts them; the backend is joblib's current one.
+    quiet : bool
+        Show no progress.
+
+    Raises
+    ------
+    OptionError
+        If two items have the same key.
+    """
+    if len({item.key for item in items}) < len(items):
+        raise OptionError("two items of the benchmark have the same key; give each its own")
+    stored = [_read(folder / item.file_name, item) for item in items]
+    missing = [i for i, content in enumerate(stored) if content is None]
+    revision = git_revision()
+    with progress_bar(quiet) as bar:
+        task = bar.add_task("instances", total=len(items), completed=len(items) - len(missing))
+        work = (joblib.delayed(_compute)(i, items[i]) for i in missing)
+        with joblib.Parallel(n_jobs=jobs, return_as="generator_unordered") as parallel:
+            for i, rows in parallel(work) if missing else ():
+                content = {"key": items[i].key, "revision": revision, "rows": rows}
+                if not any("error" in row for row in rows):
+                    _write(folder / items[i].file_name, content)
+                stored[i] = content
+                bar.advance(task)
+    contents = [content for content in stored if content is not None]
+    rows = [row for content in contents for row in content["rows"]]
+    return Results(rows, tuple(sorted({str(content["revision"]) for content in contents})))
+
+
+def _compute(number: int, item: Item) -> tuple[int, list[Row]]:
+    try:
+        rows = item.function(*item.arguments)
+    except RegraspError as error:
+        rows = [{"error": str(error)}]
+    return number, [{**item.columns, **row} for row in rows]
+
+
+def _write(path: Path, content: dict[str, Any]) -> None:
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(content), encoding="utf-8")
+
+
+def _read(path: Path, item: Item) -> dict[str, Any] | None:
+    if not path.is_file():
+        return None
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        good = content["key"] == item.key and isinstance(content["revision"], str) and _are_rows(content["rows"])
+    except (OSError, ValueError, KeyError, TypeError):
+        good = False
+    if not good:
+        logger.warning("the stored rows of '%s' in '%s' are corrupt; they are made again", item.key, path)
+        return None
+    return dict(content)
+
+
+def _are_rows(rows: Any) -> bool:
+    return isinstance(rows, list) and all(isinstance(row, dict) for row in rows)
+
+
+def write_csv(rows: Sequence[Row], path: Path) -> None:
+    """Write `rows` to `path`, atomically; columns in the order in which they first occur, None as nothing."""
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, columns)
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+@contextmanager
+def progress_bar(quiet: bool = False) -> Iterator[Progress]:
+    """Yield a progress display on stderr; nothing is shown where that is no terminal."""
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console, disable=quiet or not console.is_terminal, transient=True) as bar:
+        yield bar
+
+
+@contextmanager
+def dask_cluster(address: str | None) -> Iterator[None]:
+    """Let joblib use the Dask cluster at `address` inside the block; with None, its own processes.
+
+    Raises
+    ------
+    OptionError
+        If Dask is not installed or nothing answers at `address`.
+    """
+    if address is None:
+        yield
+        return
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise OptionError("Dask is not installed; run 'pip install distributed', or leave --dask out") from error
+    try:
+        client = Client(address, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise OptionError(f"no Dask scheduler answers at '{address}': {error}") from error
+    with client, joblib.parallel_config(backend="dask"):
+        yield

@@ -1,0 +1,115 @@
+"""What is evaluated: the built-in objects and the meshes of a folder, each with a prepared model.
+
+A mesh that cannot be used becomes a subject with an error instead of a problem; the others go on without it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from regrasp_opt.errors import OptionError, RegraspError
+from regrasp_opt.files import content_hash
+from regrasp_opt.objects import ObjectModel, load_object
+from regrasp_opt.objects.builtin import OBJECT_NAMES
+from regrasp_opt.objects.mesh import MESH_SUFFIXES
+from regrasp_opt.planning import RegraspProblem
+from regrasp_opt.planning.model_store import find_model
+from regrasp_opt.planning.prepare import Progress, prepare
+from regrasp_opt.workcell import Workcell, load_workcell
+
+DEFAULT_WORKCELL = "nova2-w"
+_RESIDENTS = 4
+"""Problems that a worker keeps, with their collision scenes and solvers."""
+
+_residents: dict[str, RegraspProblem] = {}
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """An object to be evaluated.
+
+    Attributes
+    ----------
+    name : str
+        Built-in name, or name of the mesh file with its suffix.
+    problem : RegraspProblem or None
+    error : str
+        Why there is no problem.
+    """
+
+    name: str
+    problem: RegraspProblem | None
+    error: str = ""
+
+
+def load_subjects(
+    folder: Path | None,
+    *,
+    names: tuple[str, ...] = OBJECT_NAMES,
+    workcell: str | Workcell = DEFAULT_WORKCELL,
+    jobs: int = -1,
+    progress: Progress | None = None,
+) -> list[Subject]:
+    """Return the built-in objects `names`, then every mesh of `folder` by name, each prepared for `workcell`.
+
+    Raises
+    ------
+    OptionError
+        If `folder` is given and is no folder or holds no mesh.
+    """
+    cell = workcell if isinstance(workcell, Workcell) else load_workcell(workcell)
+    sources: dict[str, str | Path] = {name: name for name in names}
+    sources |= {path.name: path for path in mesh_files(folder)} if folder is not None else {}
+    return [_load(name, source, cell, jobs, progress) for name, source in sources.items()]
+
+
+def mesh_files(folder: Path) -> list[Path]:
+    """Return the mesh files in `folder`, by name.
+
+    Raises
+    ------
+    OptionError
+        If there is none.
+    """
+    if not folder.is_dir():
+        raise OptionError(f"'{folder}' is no folder; give one with {', '.join(MESH_SUFFIXES)} files")
+    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in MESH_SUFFIXES)
+    if not found:
+        raise OptionError(f"'{folder}' holds no mesh; give a folder with {', '.join(MESH_SUFFIXES)} files")
+    return found
+
+
+def _load(name: str, source: str | Path, cell: Workcell, jobs: int, progress: Progress | None) -> Subject:
+    try:
+        return Subject(name, prepared_problem(load_object(source), cell, jobs=jobs, progress=progress))
+    except RegraspError as error:
+        return Subject(name, None, str(error))
+
+
+def prepared_problem(
+    model: ObjectModel, cell: Workcell, *, jobs: int = -1, progress: Progress | None = None
+) -> RegraspProblem:
+    """Return the problem of `model` in `cell`; its model is prepared first where there is none.
+
+    Raises
+    ------
+    RegraspError
+        If it cannot be prepared.
+    """
+    if find_model(model, cell) is None:
+        prepare(model, cell, jobs=jobs, progress=progress)
+    return RegraspProblem.load(model, cell)
+
+
+def resident(problem: RegraspProblem) -> RegraspProblem:
+    """Return this process's own copy of `problem`, whose collision scene, lattice and solvers are made once."""
+    key = content_hash(
+        problem.object.fingerprint(), problem.workcell.fingerprint(), problem.grasps.fingerprint(),
+        str(problem.model_folder),
+    )  # fmt: skip
+    if key not in _residents:
+        while len(_residents) >= _RESIDENTS:
+            _residents.pop(next(iter(_residents)))
+        _residents[key] = replace(problem)
+    return _residents[key]

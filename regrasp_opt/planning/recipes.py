@@ -1,0 +1,113 @@
+"""Recipes: which refiner, from which start points, accepted by which check.
+
+``ipopt`` starts from lattice chains, which measured better than sampled starts at a fraction of their cost;
+``langevin-ipopt`` starts from the best of a short Langevin run instead. ``langevin`` is the paper's optimiser with hard
+checks, ``paper`` its Algorithms 1 and 2 as they stand, which accept by the threshold `h` alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from regrasp_opt.connectivity import SequenceObjective
+from regrasp_opt.errors import OptionError, UnknownNameError
+from regrasp_opt.solvers import (
+    Candidates,
+    LangevinRefiner,
+    LatticeRefiner,
+    NlpRefiner,
+    PoseLattice,
+    Refiner,
+    lattice_starts,
+    random_starts,
+)
+
+FIRST_STARTS, REFINED_STARTS = 2, 6
+"""Start points that are refined first, and in all if none of those is proved, for each N."""
+PROVED_CHAINS = 400
+"""Lattice chains that are proved unrefined for each N if no refined one was."""
+LANGEVIN_SAMPLES = 256
+"""Chains of the short Langevin run that makes start points."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A refiner, where its start points come from, and how a candidate is accepted.
+
+    Attributes
+    ----------
+    refiner : Refiner
+    starts : {"lattice", "langevin", "random"}
+        Chains of lattice poses, the most promising first; the best of a short Langevin run; or random sequences
+        (Alg. 1, line 2).
+    batches : tuple of int
+        How many start points are refined and checked at a time, until a candidate is accepted.
+    proved : int
+        Candidates of a batch that are checked at most, the cheapest first (``K_top`` of Alg. 2).
+    fallback : int
+        Lattice chains that are checked as they are, if no refined candidate was accepted.
+    check : {"proof", "threshold"}
+        Accept the first candidate that is proved; or, as the paper does, the cheapest that passes the energy
+        threshold `h` (Alg. 2), which is then proved once: if that fails there is no plan.
+    """
+
+    refiner: Refiner
+    starts: Literal["lattice", "langevin", "random"] = "lattice"
+    batches: tuple[int, ...] = (FIRST_STARTS, REFINED_STARTS - FIRST_STARTS)
+    proved: int = REFINED_STARTS
+    fallback: int = PROVED_CHAINS
+    check: Literal["proof", "threshold"] = "proof"
+
+    def __post_init__(self) -> None:
+        if not self.batches or min(self.batches) < 1 or self.proved < 1 or self.fallback < 0:
+            raise OptionError("a recipe needs batches and proved of at least 1, and a fallback of at least 0")
+
+    def start_points(
+        self,
+        lattice: Callable[[], PoseLattice],
+        objective: SequenceObjective,
+        num_regrasps: int,
+        rng: np.random.Generator,
+    ) -> Candidates:
+        """Return start points for all batches; lattice chains come with the fallback's behind them."""
+        wanted = sum(self.batches)
+        if self.starts == "lattice":
+            return lattice_starts(lattice(), objective, num_regrasps, wanted + self.fallback, rng)
+        if self.starts == "random":
+            return random_starts(objective, num_regrasps, wanted, rng)
+        samples = random_starts(objective, num_regrasps, max(wanted, LANGEVIN_SAMPLES), rng)
+        return LangevinRefiner().refine(objective, samples, rng).candidates.best(wanted)
+
+
+RECIPES: dict[str, Callable[[], Recipe]] = {
+    "ipopt": lambda: Recipe(NlpRefiner()),
+    "langevin-ipopt": lambda: Recipe(NlpRefiner(), starts="langevin", fallback=0),
+    "lattice": lambda: Recipe(LatticeRefiner(), batches=(PROVED_CHAINS,), proved=PROVED_CHAINS, fallback=0),
+    "langevin": lambda: Recipe(LangevinRefiner(), starts="random", batches=(1000,), proved=50, fallback=0),
+    "paper": lambda: Recipe(
+        LangevinRefiner(keep_best=False), starts="random", batches=(1000,), proved=50, fallback=0, check="threshold"
+    ),
+}
+
+
+def as_recipe(refiner: Any) -> Recipe:
+    """Return the recipe that a name, a refiner or a recipe stands for.
+
+    Raises
+    ------
+    UnknownNameError, OptionError
+        For an unknown name, or something that has no method ``refine``.
+    """
+    if isinstance(refiner, Recipe):
+        return refiner
+    if isinstance(refiner, str):
+        if refiner not in RECIPES:
+            raise UnknownNameError("refiner", refiner, RECIPES)
+        return RECIPES[refiner]()
+    if not callable(getattr(refiner, "refine", None)):
+        raise OptionError(f"the refiner has no method 'refine'; give a Refiner or one of {', '.join(RECIPES)}")
+    return Recipe(refiner)

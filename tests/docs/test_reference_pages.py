@@ -1,0 +1,101 @@
+"""The tables of the documentation name everything that the code has: commands, keys, tolerances, layers."""
+
+import re
+from pathlib import Path
+
+import pytest
+import typer.main
+from test_architecture import LAYERS
+
+import regrasp_opt
+from regrasp_opt import Status, conventions
+from regrasp_opt.cli.app import app
+from regrasp_opt.end_effectors import loading
+from regrasp_opt.planning import plan_file
+from regrasp_opt.workcell import schema
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+COMMANDS = typer.main.get_command(app).commands
+
+
+def read(page: str) -> str:
+    return (DOCS / page).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_command_and_its_options_are_documented(name):
+    text = read("command-line.md")
+    assert f"## `{name}`" in text
+    section = text.split(f"## `{name}`")[1].split("\n## ")[0]
+    for parameter in COMMANDS[name].params:
+        if parameter.name == "help":
+            continue
+        shown = max(parameter.opts, key=len)
+        shown = shown if shown.startswith("--") else parameter.metavar
+        assert f"`{shown}`" in section, shown
+
+
+def keys(section) -> set[str]:
+    return {field.alias or name for name, field in section.model_fields.items()}
+
+
+@pytest.mark.parametrize(
+    "section",
+    [
+        schema.WorkcellFile,
+        schema.RobotSection,
+        schema.EndEffectorSection,
+        schema.TableSection,
+        schema.WorkspaceSection,
+        schema.ClearanceSection,
+        schema.ObstacleSection,
+    ],
+)
+def test_every_key_of_a_workcell_is_documented(section):
+    text = read("workcell-file.md")
+    for key in keys(section):
+        assert f"`{key}`" in text or f"`[{key}]`" in text or f"`[[{key}]]`" in text, key
+
+
+def test_every_key_of_an_end_effector_is_documented():
+    text = read("end-effector-file.md")
+    for section in (loading._EndEffectorSchema, loading._BodySchema, loading._BoxSchema, loading._CylinderSchema):
+        for key in keys(section):
+            assert f"`{key}`" in text, key
+
+
+@pytest.mark.parametrize("record", ["_File", "_Transition", "_Reference", "_Grasp"])
+def test_every_key_of_a_plan_file_is_documented(record):
+    text = read("plan-file.md")
+    for key in keys(getattr(plan_file, record)):
+        assert f"`{key}`" in text, key
+
+
+def test_every_status_is_documented():
+    for status in Status:
+        assert f"`{status.name.lower()}`" in read("plan-file.md")
+        assert status is Status.SOLVED or f"`{status.name.lower()}`" in read("faq.md")
+
+
+def test_the_tolerances_have_their_values():
+    names = [name for name in vars(conventions) if name.endswith("_TOLERANCE")]
+    documented = dict(re.findall(r"^\| `(\w+_TOLERANCE)` \| (\S+) ", read("conventions.md"), re.M))
+    assert {name: float(value) for name, value in documented.items()} == {n: getattr(conventions, n) for n in names}
+
+
+def test_the_picture_of_the_layers_is_the_code():
+    picture = re.search(r"```text\n(.*?)```", read("architecture.md"), re.S)[1]
+    drawn = [set(line.split()) for line in picture.splitlines() if line.strip() != "|"]
+    present = {path.stem for path in (ROOT / "regrasp_opt").iterdir() if path.suffix in ("", ".py")}
+    assert drawn == [layer & present for layer in LAYERS if layer & present]
+    for layer in drawn:
+        for name in layer:
+            assert f"| `{name}` |" in read("architecture.md")
+
+
+def test_every_public_name_is_in_the_reference():
+    text = read("reference.md")
+    for name in regrasp_opt.__all__:
+        assert f"regrasp_opt.{name}\n" in text or name == "RegraspError", name
+    assert "automodule:: regrasp_opt.errors" in text

@@ -1,0 +1,44 @@
+"""Fixtures of the planning tests: a solved plan with one regrasp, and its file."""
+
+import json
+
+import numpy as np
+import pytest
+
+from regrasp_opt import RegraspProblem, solve_sequence
+from regrasp_opt.planning.tasks import random_task
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _data_home_of_wide_fixtures(tmp_path_factory):
+    """Keep what session fixtures write out of the user's folders."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("REGRASP_OPT_HOME", str(tmp_path_factory.getbasetemp() / "data-home"))
+        yield
+
+
+@pytest.fixture(scope="session")
+def mug_problem():
+    return RegraspProblem.load("mug", "nova2-w")
+
+
+@pytest.fixture(scope="session")
+def task(bottle_problem):
+    """Return a bottle task whose ends share no grasp."""
+    return random_task(bottle_problem, np.random.default_rng(0), needs_regrasp=True)
+
+
+@pytest.fixture(scope="session")
+def plan(bottle_problem, task):
+    """Return the plan of `task`."""
+    solved = solve_sequence(bottle_problem, task.start, task.goal, seed=0)
+    assert solved.num_regrasps >= 1
+    return solved
+
+
+@pytest.fixture(scope="session")
+def plan_content(plan, tmp_path_factory):
+    """Return what the file of `plan` holds."""
+    path = tmp_path_factory.mktemp("plan") / "plan.json"
+    plan.save(path)
+    return json.loads(path.read_text("utf-8"))
