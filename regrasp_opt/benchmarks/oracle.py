@@ -21,7 +21,7 @@ import joblib
 import numpy as np
 from scipy.sparse.csgraph import shortest_path
 
-from regrasp_opt.benchmarks.subjects import resident
+from regrasp_opt.benchmarks.subjects import problem_key, resident
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, planar_transform
 from regrasp_opt.errors import OptionError
 from regrasp_opt.files import atomic_path, content_hash, data_home
@@ -61,7 +61,6 @@ class Oracle:
     placements, xi : (L,), (L, 3)
         Stable placement and planar parameters of each pose [m, m, rad].
     feasible : (L, G) bool
-        All False where the object itself would touch an obstacle.
     seconds : float
         Processor time that the checks took, whenever they were made.
     """
@@ -160,12 +159,6 @@ def build_oracle(
     return Oracle(numbers, xi, np.concatenate([b.feasible for b in blocks]), sum(b.seconds for b in blocks))
 
 
-def problem_key(problem: RegraspProblem) -> str:
-    """Return a hash of what exact feasibility depends on: object, workcell, grasps and placements."""
-    parts = [problem.object.fingerprint(), problem.workcell.fingerprint(), problem.grasps.fingerprint()]
-    return content_hash(*parts, problem.placement_poses)
-
-
 def slice_of(block: int) -> slice:
     """Return the poses of block number `block`."""
     return slice(block * BLOCK, (block + 1) * BLOCK)
@@ -180,10 +173,8 @@ class _Block:
 def _check_block(problem: RegraspProblem, number: int, placements: IntArray, xi: FloatArray) -> tuple[int, _Block]:
     problem = resident(problem)
     began = time.process_time()
-    feasible = np.zeros((len(xi), len(problem.grasps)), dtype=bool)
-    for row, T in enumerate(planar_transform(xi) @ problem.placement_poses[placements]):
-        if not problem.checker.object_collides(T):
-            feasible[row] = problem.checker.feasible(T)
+    poses = planar_transform(xi) @ problem.placement_poses[placements]
+    feasible = np.array([problem.checker.feasible(T) for T in poses])
     return number, _Block(feasible, time.process_time() - began)
 
 

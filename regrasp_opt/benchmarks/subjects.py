@@ -102,12 +102,20 @@ def prepared_problem(
     return RegraspProblem.load(model, cell)
 
 
+def problem_key(problem: RegraspProblem) -> str:
+    """Return a hash of what exact feasibility depends on: object, workcell, grasps and placements."""
+    parts = [problem.object.fingerprint(), problem.workcell.fingerprint(), problem.grasps.fingerprint()]
+    return content_hash(*parts, problem.placement_poses)
+
+
+def planning_key(problem: RegraspProblem) -> str:
+    """Return a hash of what plans depend on, besides the code: `problem_key` and the energy."""
+    return content_hash(problem_key(problem), problem.energy.fingerprint())
+
+
 def resident(problem: RegraspProblem) -> RegraspProblem:
     """Return this process's own copy of `problem`, whose collision scene, lattice and solvers are made once."""
-    key = content_hash(
-        problem.object.fingerprint(), problem.workcell.fingerprint(), problem.grasps.fingerprint(),
-        str(problem.model_folder),
-    )  # fmt: skip
+    key = content_hash(problem_key(problem), str(problem.model_folder), problem.preset)
     if key not in _residents:
         while len(_residents) >= _RESIDENTS:
             _residents.pop(next(iter(_residents)))

@@ -22,6 +22,7 @@ import numpy as np
 
 from regrasp_opt.connectivity.costs import CostOptions
 from regrasp_opt.conventions import FloatArray
+from regrasp_opt.energy.casadi_blocks import pose_energy
 from regrasp_opt.energy.casadi_energy import CasadiEnergy
 from regrasp_opt.energy.model import GraspEnergy, PlanarLayer
 from regrasp_opt.errors import OptionError
@@ -101,16 +102,16 @@ def sequence_functions(energy: CasadiEnergy, options: CostOptions, num_regrasps:
     layers = _split(energy, packed)
 
     scale, multipliers = ca.MX.sym("scale"), ca.MX.sym("multipliers", num_regrasps + 1)
-    light = [energy.forward(layer, xi[:, i], tangents=False) for i, layer in enumerate(layers)]
+    light = [pose_energy(energy, layer, xi[:, i], tangents=False) for i, layer in enumerate(layers)]
     chain = _Chain([ends[:, 0], *(p.energy for p in light), ends[:, 1]], options)
-    gradient = [energy.gradient(p, chain.omega(i + 1)) for i, p in enumerate(light)]
+    gradient = [p.gradient(chain.omega(i + 1)) for i, p in enumerate(light)]
 
-    full = [energy.forward(layer, xi[:, i], tangents=True) for i, layer in enumerate(layers)]
+    full = [pose_energy(energy, layer, xi[:, i], tangents=True) for i, layer in enumerate(layers)]
     bent = _Chain([ends[:, 0], *(p.energy for p in full), ends[:, 1]], options, scale, multipliers)
-    curvatures = [energy.curvature(p, bent.omega(i + 1)) for i, p in enumerate(full)]
-    tangents = [p.tangent for p in full]
+    tangents, curvatures = zip(*[p.second(bent.omega(i + 1)) for i, p in enumerate(full)], strict=True)
     hessian = ca.diagcat(*curvatures) + bent.coupling(tangents)
-    scores = [ca.vertcat(*bent.scores), bent.score_jacobian(tangents)]
+    unweighted = ca.MX.ones(energy.count)
+    scores = [ca.vertcat(*bent.scores), bent.score_jacobian([p.second(unweighted)[0] for p in full])]
     return SequenceFunctions(
         ca.Function("J_seq", inputs, [chain.cost], names, ["J"]),
         ca.Function("J_seq_gradient", inputs, [chain.cost, ca.vertcat(*gradient)], names, ["J", "gradient"]),
@@ -184,32 +185,38 @@ class _Chain:
         """Return dJ/dE (G, 1) at pose i of the chain, start being pose 0."""
         return self.slopes[i - 1] * self.weights[i - 1] + self.slopes[i] * self.weights[i]
 
-    def score_jacobian(self, tangents: list[Any]) -> Any:
+    def score_jacobian(self, tangents: Sequence[Any]) -> Any:
         """Return dQ/dxi (N+1, 3N) from dE/dxi (G, 3) of the N intermediate poses."""
-        moves = self._moves(tangents)
-        return ca.vertcat(*[ca.mtimes(w.T, move) for move, w in zip(moves, self.weights, strict=True)])
+        rows = []
+        for (first, move), w in zip(_moves(tangents), self.weights, strict=True):
+            row = ca.MX(1, 3 * len(tangents))
+            row[0, first : first + move.shape[1]] = ca.mtimes(w.T, move)
+            rows.append(row)
+        return ca.vertcat(*rows)
 
-    def coupling(self, tangents: list[Any]) -> Any:
+    def coupling(self, tangents: Sequence[Any]) -> Any:
         """Return the Hessian's part that couples poses, (3N, 3N), from dE/dxi (G, 3) of the N intermediate poses."""
         size = 3 * len(tangents)
-        moves = self._moves(tangents)
-        slopes = [ca.mtimes(move.T, w) for move, w in zip(moves, self.weights, strict=True)]  # dQ_i
         total = ca.MX(size, size)
-        for move, w, slope, c in zip(moves, self.weights, slopes, self.slopes, strict=True):
-            spread = ca.mtimes(ca.densify(move).T, ca.repmat(w, 1, size) * move) - slope @ slope.T
-            total = total - c / self.alpha * spread
+        slopes = []  # dQ_i over all variables, (3N, 1), structurally zero where it does not depend on them
+        for (first, move), w, c in zip(_moves(tangents), self.weights, self.slopes, strict=True):
+            own = slice(first, first + move.shape[1])
+            slope = ca.mtimes(move.T, w)
+            spread = ca.mtimes(move.T, ca.repmat(w, 1, move.shape[1]) * move) - slope @ slope.T
+            block, padded = ca.MX(size, size), ca.MX(size, 1)
+            block[own, own], padded[own] = c / self.alpha * spread, slope
+            total = total - block
+            slopes.append(padded)
         for a, b in itertools.pairwise(slopes):
             total = total + 2 * self.lambda_reg * (a - b) @ (a - b).T
         return total
 
-    @staticmethod
-    def _moves(tangents: list[Any]) -> list[Any]:
-        """Return d(E_i + E_{i+1})/dxi over all variables, one (G, 3N) for each of the N+1 pairs."""
-        moves = []
-        for i in range(len(tangents) + 1):
-            blocks = [t if j in (i - 1, i) else ca.MX(t.shape[0], 3) for j, t in enumerate(tangents)]
-            moves.append(ca.horzcat(*blocks))
-        return moves
+
+def _moves(tangents: Sequence[Any]) -> list[tuple[int, Any]]:
+    """Return, for each of the N+1 pairs, its first variable and d(E_i + E_{i+1}) over its own variables (G, 3 or 6)."""
+    count = len(tangents)
+    pairs = [(max(i - 1, 0), min(i + 1, count)) for i in range(count + 1)]
+    return [(3 * first, ca.horzcat(*tangents[first:last])) for first, last in pairs]
 
 
 def layers_parameter(energy: GraspEnergy, placements: FloatArray, grasp_ids: Any = slice(None)) -> FloatArray:

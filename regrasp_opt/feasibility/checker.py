@@ -13,6 +13,7 @@ import coal
 import numpy as np
 
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
+from regrasp_opt.errors import GraspError
 from regrasp_opt.feasibility.geometry import mesh_geometry, static_bodies
 from regrasp_opt.feasibility.scene import CollisionScene
 from regrasp_opt.grasps import GraspSet
@@ -37,9 +38,16 @@ class FeasibilityChecker:
     workcell : Workcell
     grasps : GraspSet
         G grasps; their numbers are the grasp ids of plans.
+
+    Raises
+    ------
+    GraspError
+        If `grasps` is empty.
     """
 
     def __init__(self, model: ObjectModel, workcell: Workcell, grasps: GraspSet) -> None:
+        if len(grasps) == 0:
+            raise GraspError("the grasp set is empty; sample or load at least one grasp")
         self.workcell = workcell
         self.grasps = grasps
         self.scene = CollisionScene(model, workcell, grasps)

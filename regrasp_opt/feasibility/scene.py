@@ -8,6 +8,7 @@ against what it is mounted on.
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -65,8 +66,9 @@ class CollisionScene:
             self.geometry.addCollisionPair(pin.CollisionPair(i, j))
         self.margins = np.array([margin for _, _, margin in pairs])
         self.data, self.geometry_data = self.model.createData(), self.geometry.createData()
-        for k, margin in enumerate(self.margins):
-            self.geometry_data.collisionRequests[k].security_margin = float(margin)
+        for request, margin in zip(self.geometry_data.collisionRequests, self.margins, strict=True):
+            request.security_margin = float(margin)
+        _forget_results(self.geometry_data)
         surroundings = {self.table, self.object, *self.obstacles}
         self._measured = np.array([(i, j, k) for k, (i, j, _) in enumerate(pairs) if j in surroundings])
         self._centers, self._radii = self._bounding_spheres()
@@ -122,3 +124,11 @@ class CollisionScene:
             distance = pin.computeDistance(self.geometry, self.geometry_data, index).min_distance
             least = min(least, distance)
         return float(least)
+
+
+def _forget_results(data: Any) -> None:
+    """Let every query start afresh: GJK would start from the last result, so answers would depend on the order."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        for request in (*data.collisionRequests, *data.distanceRequests):
+            request.enable_cached_gjk_guess = False

@@ -211,7 +211,12 @@ class _Search:
         return self._plan(objective, candidates, index, chain)
 
     def _prove(self, objective: SequenceObjective, candidates: Candidates, index: int) -> list[PoseKnowledge] | None:
-        poses = objective.poses(candidates.placements[index], candidates.xi[index])
+        xi = candidates.xi[index]
+        low, high = objective.bounds
+        inside = np.isfinite(xi).all() and (xi[:, :2] >= low - 1e-9).all() and (xi[:, :2] <= high + 1e-9).all()
+        if not inside:  # a refiner is not believed
+            return None
+        poses = objective.poses(candidates.placements[index], xi)
         if any(self.problem.checker.object_collides(T) for T in poses):
             return None
         energies = objective.chain(objective.energy(poses)[None])[0]

@@ -188,3 +188,17 @@ def test_truncated_casadi_cost_equals_numpy(make_energy, h):
     options = CostOptions(variant="Jh", h=h)
     _, _, J = connectivity_functions(energy, options, *ends.T, placements)
     assert float(J(xi)) == pytest.approx(_numpy_cost(energy, options, placements, xi, ends), abs=1e-9)
+
+
+def test_blocks_of_grasps_give_the_same_derivatives(make_energy, monkeypatch):
+    energy = make_energy(grasps=23)
+    placements, xi, ends = _setting(energy, 2)
+    arguments = xi, layers_parameter(energy, placements), ends
+    whole = sequence_functions(CasadiEnergy(energy.model, 23), CostOptions(), 2)
+    monkeypatch.setattr("regrasp_opt.energy.casadi_blocks.BLOCK", 5)
+    blocked = sequence_functions(CasadiEnergy(energy.model, 23), CostOptions(), 2)
+    for name in ("gradient", "scores"):
+        for a, b in zip(getattr(whole, name)(*arguments), getattr(blocked, name)(*arguments), strict=True):
+            np.testing.assert_allclose(np.array(a), np.array(b), atol=1e-12)
+    hessians = [np.array(f.hessian(*arguments, 0.5, [1.0, 0.0, 2.0])) for f in (whole, blocked)]
+    np.testing.assert_allclose(*hessians, atol=1e-12)

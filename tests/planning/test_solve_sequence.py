@@ -10,6 +10,7 @@ from scipy.special import logsumexp
 from regrasp_opt import CostOptions, Recipe, RegraspPlan, RegraspProblem, Status, solve_sequence
 from regrasp_opt.conventions import planar_transform
 from regrasp_opt.errors import OptionError, UnknownNameError
+from regrasp_opt.planning.recipes import as_recipe
 from regrasp_opt.planning.tasks import random_graspable_pose, random_task
 from regrasp_opt.solvers import Candidates, LangevinRefiner, LatticeRefiner
 
@@ -137,7 +138,7 @@ def assert_no_plan(plan, status):
     assert np.isnan(plan.cost)
 
 
-SHORT_LANGEVIN = Recipe(LangevinRefiner(), starts="random", batches=(100,), proved=50, fallback=0)
+SHORT_LANGEVIN = replace(as_recipe("langevin"), batches=(100,))
 
 
 @pytest.mark.parametrize("refiner", ["ipopt", "lattice", SHORT_LANGEVIN], ids=["ipopt", "lattice", "langevin"])
@@ -148,10 +149,10 @@ def test_every_refiner_plans_and_repeats_itself(bottle_problem, task, refiner):
     assert plans[0].cost == pytest.approx(numpy_cost(plans[0]), abs=1e-9)
 
 
-def test_langevin_by_name_runs_with_the_constants_of_the_paper(bottle_problem, task):
-    plan = solve_sequence(bottle_problem, task.start, task.goal, refiner="langevin")
-    assert_contract(plan, bottle_problem, task)
-    assert plan.refiner_stats[0]["refiner"] == "langevin" and plan.refiner_stats[0]["iterations"] == 20
+def test_langevin_by_name_has_the_constants_of_the_paper():
+    recipe = as_recipe("langevin")
+    assert recipe.refiner == LangevinRefiner(iterations=20, eta=0.3, tau=0.1)
+    assert (recipe.starts, recipe.batches, recipe.proved) == ("random", (1000,), 50)
 
 
 def test_a_freshly_loaded_problem_gives_the_same_plan(task, plan):

@@ -1,0 +1,111 @@
+"""One run of the benchmarks: what is evaluated, at which size, by how many workers, and where the results go."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from regrasp_opt.benchmarks.instances import PosePool
+from regrasp_opt.benchmarks.oracle import Oracle, Resolution, build_oracle
+from regrasp_opt.benchmarks.runner import Item, Results, Row, progress_bar, run_items
+from regrasp_opt.benchmarks.subjects import DEFAULT_WORKCELL, Subject, load_subjects, prepared_problem
+from regrasp_opt.objects.builtin import OBJECT_NAMES
+from regrasp_opt.planning import RegraspProblem
+from regrasp_opt.planning.prepare import Progress
+from regrasp_opt.workcell import Workcell
+
+QUICK_GRID = Resolution(0.06, 12)
+"""The oracle of quick runs."""
+
+FULL_GRID = Resolution(0.03, 24)
+"""The oracle of full runs."""
+
+
+@dataclass(frozen=True)
+class Session:
+    """Options that all experiments share.
+
+    Attributes
+    ----------
+    folder : Path
+        Where results are written, one folder for each experiment.
+    quick : bool
+        Minutes instead of the paper's sizes.
+    objects : Path or None
+        Folder of meshes that are evaluated besides the built-in objects.
+    names : tuple of str
+        Built-in objects that are evaluated.
+    jobs : int
+        Workers, as joblib counts them.
+    seed : int
+    quiet : bool
+        Show no progress.
+    """
+
+    folder: Path
+    quick: bool = False
+    objects: Path | None = None
+    names: tuple[str, ...] = OBJECT_NAMES
+    jobs: int = -1
+    seed: int = 0
+    quiet: bool = False
+
+    @property
+    def grid(self) -> Resolution:
+        """Resolution of the oracle."""
+        return QUICK_GRID if self.quick else FULL_GRID
+
+    def subjects(self, workcell: str | Workcell = DEFAULT_WORKCELL) -> list[Subject]:
+        """Return everything that is evaluated in `workcell`, with prepared models."""
+        with progress_bar(self.quiet) as bar:
+            tasks: dict[str, int] = {}
+
+            def show(what: str, done: int, total: int) -> None:
+                if what not in tasks:
+                    tasks[what] = int(bar.add_task(what, total=total))
+                bar.update(tasks[what], completed=done, total=total)  # type: ignore[arg-type]
+
+            return self._load(workcell, show)
+
+    def _load(self, workcell: str | Workcell, progress: Progress) -> list[Subject]:
+        return load_subjects(self.objects, names=self.names, workcell=workcell, jobs=self.jobs, progress=progress)
+
+    def prepared(self, problem: RegraspProblem, cell: Workcell) -> RegraspProblem:
+        """Return the object of `problem` in another workcell, with a model prepared for it."""
+        return prepared_problem(problem.object, cell, jobs=self.jobs)
+
+    def oracle(self, name: str, problem: RegraspProblem, resolution: Resolution | None = None) -> Oracle:
+        """Return the ground truth of `problem` on a grid; `name` is shown beside the progress."""
+        with progress_bar(self.quiet) as bar:
+            task = bar.add_task(f"ground truth, {name}", total=None)
+            return build_oracle(
+                problem,
+                resolution or self.grid,
+                jobs=self.jobs,
+                progress=lambda done, total: bar.update(task, completed=done, total=total),
+            )
+
+    def pool(self, problem: RegraspProblem) -> PosePool:
+        """Return the random poses among which start-goal pairs of `problem` are chosen."""
+        return PosePool.draw(problem, self.seed)
+
+    def rng(self, *stream: int) -> np.random.Generator:
+        """Return a generator of its own for each `stream` of numbers."""
+        return np.random.default_rng([self.seed, *stream])
+
+    def execute(self, experiment: str, items: Sequence[Item]) -> Results:
+        """Compute the rows of `items`, or read what an earlier run left in the experiment's folder."""
+        return run_items(items, self.folder / experiment / "items", jobs=self.jobs, quiet=self.quiet)
+
+
+def error_rows(subjects: Sequence[Subject]) -> list[Row]:
+    """Return one row for each subject that cannot be evaluated, with the reason."""
+    return [{"object": s.name, "error": s.error} for s in subjects if s.problem is None]
+
+
+def usable(subjects: Sequence[Subject]) -> list[tuple[str, RegraspProblem]]:
+    """Return name and problem of the subjects that can be evaluated."""
+    return [(s.name, s.problem) for s in subjects if s.problem is not None]

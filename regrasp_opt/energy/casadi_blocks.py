@@ -1,0 +1,97 @@
+"""Energies of one pose of a chain, with the two derivative passes, for any number of grasps.
+
+Up to `BLOCK` grasps one expression serves value and derivatives. Beyond, its intermediate matrices would no longer fit
+the processor's caches, so grasps are evaluated block by block through functions that reuse their work memory; the
+energies are then computed once more in the derivative passes, which is far cheaper than the cache misses.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any, Protocol
+
+import casadi as ca
+
+from regrasp_opt.energy.casadi_energy import CasadiEnergy
+from regrasp_opt.energy.model import PlanarLayer
+
+BLOCK = 256
+"""Most grasps that are evaluated in one piece."""
+
+
+class PoseEnergy(Protocol):
+    """Energies (G, 1) at one pose and their derivatives in its planar parameters."""
+
+    energy: Any
+
+    def gradient(self, weights: Any) -> Any:
+        """Return ``sum_g weights_g dE_g/dxi`` (3, 1)."""
+
+    def second(self, weights: Any) -> tuple[Any, Any]:
+        """Return dE/dxi (G, 3) and ``sum_g weights_g d2E_g/dxi2`` (3, 3)."""
+        ...
+
+
+def pose_energy(energy: CasadiEnergy, layer: PlanarLayer, xi: Any, *, tangents: bool) -> PoseEnergy:
+    """Return the energies at ``dT(xi) @ T_p``; `tangents` says that `second` will be asked for, not `gradient`."""
+    if energy.count <= BLOCK:
+        return _Whole(energy, layer, xi, tangents)
+    return _Blocked(energy, layer, xi)
+
+
+class _Whole:
+    def __init__(self, energy: CasadiEnergy, layer: PlanarLayer, xi: Any, tangents: bool) -> None:
+        self._expressions = energy
+        self._passed = energy.forward(layer, xi, tangents=tangents)
+        self.energy = self._passed.energy
+
+    def gradient(self, weights: Any) -> Any:
+        return self._expressions.gradient(self._passed, weights)
+
+    def second(self, weights: Any) -> tuple[Any, Any]:
+        return self._passed.tangent, self._expressions.curvature(self._passed, weights)
+
+
+class _Blocked:
+    def __init__(self, energy: CasadiEnergy, layer: PlanarLayer, xi: Any) -> None:
+        count = -(-energy.count // BLOCK)
+        edges = [energy.count * k // count for k in range(count + 1)]
+        self._xi = xi
+        self._parts = list(pairwise(edges))
+        self._functions = [_BlockFunctions.of(energy, last - first) for first, last in self._parts]
+        self._layers = [ca.horzcat(*(part[:, first:last] for part in layer[:3])) for first, last in self._parts]
+        blocks = zip(self._functions, self._layers, strict=True)
+        self.energy = ca.vertcat(*[functions.value(numbers, xi) for functions, numbers in blocks])
+
+    def gradient(self, weights: Any) -> Any:
+        parts = [f.gradient(numbers, self._xi, w) for f, numbers, w in self._blocks(weights)]
+        return sum(parts[1:], parts[0])
+
+    def second(self, weights: Any) -> tuple[Any, Any]:
+        parts = [f.second(numbers, self._xi, w) for f, numbers, w in self._blocks(weights)]
+        curvatures = [curvature for _, curvature in parts]
+        return ca.vertcat(*[tangent for tangent, _ in parts]), sum(curvatures[1:], curvatures[0])
+
+    def _blocks(self, weights: Any) -> list[tuple[_BlockFunctions, Any, Any]]:
+        cut = [weights[first:last] for first, last in self._parts]
+        return list(zip(self._functions, self._layers, cut, strict=True))
+
+
+class _BlockFunctions:
+    """The passes for a block of `size` grasps as functions of (layer numbers (H, 3 size), xi, weights)."""
+
+    def __init__(self, energy: CasadiEnergy, size: int) -> None:
+        block = CasadiEnergy(energy.model, size, energy.blas)
+        numbers, xi, w = ca.MX.sym("layer", energy.model.hidden, 3 * size), ca.MX.sym("xi", 3), ca.MX.sym("w", size)
+        layer = block.layer_parameter(numbers)
+        light, full = (_Whole(block, layer, xi, tangents) for tangents in (False, True))
+        self.value = ca.Function("value", [numbers, xi], [light.energy])
+        self.gradient = ca.Function("gradient", [numbers, xi, w], [light.gradient(w)])
+        self.second = ca.Function("second", [numbers, xi, w], list(full.second(w)))
+
+    @staticmethod
+    @lru_cache(maxsize=8)
+    def of(energy: CasadiEnergy, size: int) -> _BlockFunctions:
+        """Return the functions for `size` grasps, built once for the blocks of an energy."""
+        return _BlockFunctions(energy, size)

@@ -1,0 +1,89 @@
+"""The POSE argument: what it means, and that nothing typed there ends in anything but a pose or a PoseError."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from regrasp_opt.cli.poses import parse_pose
+from regrasp_opt.conventions import planar_transform, translation
+from regrasp_opt.errors import PoseError
+
+PLACEMENTS = np.array([np.eye(4), translation(0.0, 0.01, 0.1), np.diag([1.0, -1.0, -1.0, 1.0])])
+STEADY = settings(deadline=None, derandomize=True, max_examples=200)
+numbers = st.floats(-10, 10)
+
+
+def assert_pose_or_refusal(text):
+    try:
+        T = parse_pose(text, "goal", PLACEMENTS)
+    except PoseError as error:
+        assert "goal" in str(error)
+        return
+    assert T.shape == (4, 4) and np.isfinite(T).all()
+    np.testing.assert_allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-3)
+
+
+@STEADY
+@given(st.integers(0, 2), numbers, numbers, st.floats(-1000, 1000))
+def test_the_short_form_is_a_moved_placement(number, x, y, degrees):
+    for text in (f"{number}:{x!r},{y!r},{degrees!r}", f" {number}: {x!r} , {y!r} ,{degrees!r} "):
+        expected = planar_transform([x, y, np.deg2rad(degrees)]) @ PLACEMENTS[number]
+        np.testing.assert_allclose(parse_pose(text, "start", PLACEMENTS), expected, atol=1e-12)
+
+
+def test_the_example_of_the_documentation():
+    T = parse_pose("2:0.30,0.25,90", "start", PLACEMENTS)
+    np.testing.assert_allclose(T[:3, 3], [0.3, 0.25, 0.0])
+    np.testing.assert_allclose(T[:3, :3] @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("text", ["3:0,0,0", "-1:0,0,0", "0:0,0", "0:0,0,0,0", "0:,,", "0:x,0,0", ":0,0,0", "", "0:1e999,0,0",
+                                  "0:0,0,nan", "1.5:0,0,0", "0;0,0,0", "9" * 5000 + ":0,0,0", "a" * 5000, "a\0b", "\0.json"])  # fmt: skip
+def test_what_is_no_pose_is_refused(text):
+    with pytest.raises(PoseError) as info:
+        parse_pose(text, "start", PLACEMENTS)
+    assert "start" in str(info.value)
+
+
+@STEADY
+@given(st.text(max_size=300))
+@example("0:0,0,0\n")
+def test_any_text_is_a_pose_or_is_refused(text):
+    assert_pose_or_refusal(text)
+
+
+@STEADY
+@given(st.text("0123456789:,.+-eEnaif _", max_size=40))
+def test_nearly_a_pose_is_a_pose_or_is_refused(text):
+    assert_pose_or_refusal(text)
+
+
+@pytest.fixture(scope="module")
+def pose_file(tmp_path_factory):
+    return tmp_path_factory.mktemp("poses") / "pose.json"
+
+
+entries = st.one_of(st.floats(allow_nan=True), st.integers(), st.none(), st.booleans(), st.text(max_size=3))
+values = st.one_of(
+    st.recursive(entries, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=2), inner)),
+    st.lists(st.lists(entries, min_size=4, max_size=4), min_size=4, max_size=4),
+)
+
+
+@STEADY
+@given(values)
+@example([[10**400] * 4] * 4)
+def test_any_json_is_a_pose_or_is_refused(pose_file, value):
+    pose_file.write_text(json.dumps(value), encoding="utf-8")
+    assert_pose_or_refusal(str(pose_file))
+
+
+@STEADY
+@given(st.integers(0, 2), numbers, numbers, st.floats(-7, 7))
+def test_a_file_gives_back_the_pose_that_was_written(pose_file, number, x, y, yaw):
+    T = planar_transform([x, y, yaw]) @ PLACEMENTS[number]
+    pose_file.write_text(json.dumps(T.tolist()), encoding="utf-8")
+    np.testing.assert_allclose(parse_pose(str(pose_file), "start", PLACEMENTS), T, atol=1e-12)

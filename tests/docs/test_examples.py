@@ -1,0 +1,72 @@
+"""Every program in `examples/` runs in an empty folder and shows what it promises."""
+
+import re
+import runpy
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+@pytest.fixture
+def output(tmp_path, monkeypatch, capsys):
+    """Return a function that runs an example and returns what it prints."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(name, *arguments):
+        monkeypatch.setattr(sys, "argv", [name, *arguments])
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+        return capsys.readouterr().out
+
+    return run
+
+
+def rows(text, pattern):
+    return re.findall(pattern, text, re.M)
+
+
+def test_a_plan_is_printed_and_proved(output):
+    text = output("01_plan.py")
+    assert text.startswith("SOLVED: 1 regrasp(s)")
+    assert len(rows(text, r"^move \d")) == 2
+    assert text.endswith("proved again: True\n")
+
+
+def test_an_own_mesh_in_an_own_workcell_is_planned_and_shown(output, tmp_path):
+    text = output("02_own_mesh_and_workcell.py")
+    assert "bracket: 5 stable placements" in text
+    assert "SOLVED: 1 regrasp(s)" in text
+    assert "shelf" in (tmp_path / "own_plan.html").read_text(encoding="utf-8")
+
+
+def test_three_refiners_are_compared(output):
+    table = rows(output("03_langevin_against_ipopt.py", "1"), r"^(\w+) +1/1 +[\d.]+ +(-?[\d.]+) +[\d.]+$")
+    assert [name for name, _ in table] == ["ipopt", "lattice", "langevin"]
+    costs = dict(table)
+    assert float(costs["ipopt"]) <= float(costs["lattice"])
+
+
+def test_the_pull_of_an_own_term_grows_with_its_weight(output):
+    text = output("04_jseq_in_opti.py")
+    table = rows(text, r"^ +\d+ +-?[\d.]+ +-?[\d.]+ +([\d.]+)   \[ *(\d+) +(\d+)\]$")
+    away = [float(row[0]) for row in table]
+    assert len(away) == 5
+    assert away == sorted(away, reverse=True)
+    assert away[-1] < 0.05 < away[0]
+    assert all(int(shared) > 0 for row in table for shared in row[1:])
+
+
+def test_an_own_refiner_improves_on_the_lattice(output):
+    table = rows(output("05_new_refiner.py"), r"^([\w-]+) +SOLVED +\d+ +(-?[\d.]+)$")
+    costs = dict(table)
+    assert list(costs) == ["lattice", "coordinate-descent", "ipopt"]
+    assert float(costs["coordinate-descent"]) < float(costs["lattice"])
+
+
+def test_every_example_has_a_test_and_says_how_to_run_it():
+    tested = Path(__file__).read_text(encoding="utf-8")
+    for path in sorted(EXAMPLES.glob("*.py")):
+        assert f'output("{path.name}"' in tested
+        assert f"`python examples/{path.name}" in path.read_text(encoding="utf-8")

@@ -1,0 +1,192 @@
+"""Plan files: nothing is lost on the way, and whatever is wrong with one is said in one sentence."""
+
+import copy
+import json
+import re
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from regrasp_opt import RegraspPlan, RegraspProblem, Status, solve_sequence
+from regrasp_opt.errors import PlanFileError, RegraspError
+from regrasp_opt.planning.plan_file import plan_summary
+
+BUILT_IN = (files("regrasp_opt") / "data" / "workcells" / "nova2-w.toml").read_text("utf-8")
+
+
+def assert_equal_plans(a, b):
+    for name in ("status", "num_regrasps", "timings", "refiner_stats", "seed"):
+        assert getattr(a, name) == getattr(b, name)
+    assert a.cost == b.cost or (np.isnan(a.cost) and np.isnan(b.cost))
+    for name in ("poses", "placements", "xi"):
+        np.testing.assert_allclose(getattr(a, name), getattr(b, name), atol=1e-15)
+    for one, other in zip(a.transitions, b.transitions, strict=True):
+        for name in ("grasp_ids", "q_pick", "q_place", "clearance"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+def test_a_plan_comes_back_as_it_was_saved(plan, tmp_path):
+    path = tmp_path / "plan.json"
+    plan.save(path)
+    again = RegraspPlan.load(path)
+    assert_equal_plans(again, plan)
+    assert again.residuals().hold
+    assert again.problem.object.fingerprint() == plan.problem.object.fingerprint()
+    assert again.problem.workcell.fingerprint() == plan.problem.workcell.fingerprint()
+    np.testing.assert_allclose(again.problem.grasps.T_object_tcp, plan.problem.grasps.T_object_tcp, atol=1e-15)
+    assert [p.name for p in tmp_path.iterdir()] == ["plan.json"]
+
+
+def test_plans_that_are_not_solved_come_back(bottle_problem, task, tmp_path):
+    unsolved = solve_sequence(bottle_problem, task.start, task.goal, max_regrasps=0)
+    timed_out = solve_sequence(bottle_problem, task.start, task.goal, time_limit=1e-6)
+    for plan in (unsolved, timed_out):
+        plan.save(tmp_path / "plan.json")
+        again = RegraspPlan.load(tmp_path / "plan.json")
+        assert_equal_plans(again, plan)
+        assert again.status in (Status.NOT_FOUND, Status.TIME_LIMIT)
+
+
+def test_the_file_has_the_keys_of_the_contract(plan, plan_content):
+    keys = ["status", "num_regrasps", "cost", "poses", "transitions", "timings"]
+    assert list(plan_summary(plan)) == keys
+    assert set(keys) < set(plan_content)
+    assert plan_content["schema"] == 1 and plan_content["status"] == "solved"
+    assert set(plan_content["transitions"][0]) == {"grasp_ids", "q_pick", "q_place", "clearance"}
+
+
+def test_an_own_mesh_and_workcell_are_found_again_from_another_folder(bottle_problem, plan, tmp_path, monkeypatch):
+    mesh, cell = tmp_path / "bottle.stl", tmp_path / "cell.toml"
+    bottle_problem.object.mesh.export(mesh)
+    cell.write_text(BUILT_IN, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    own = RegraspProblem.load("bottle.stl", "cell.toml", grasps=bottle_problem.grasps)
+    replace(plan, problem=own).save("plan.json")
+    monkeypatch.chdir("/")
+    again = RegraspPlan.load(tmp_path / "plan.json")
+    assert again.residuals().hold
+    trimesh.creation.box((0.05, 0.05, 0.1)).export(mesh)
+    assert "object 'bottle' has changed" in refusal(tmp_path / "plan.json")
+    bottle_problem.object.mesh.export(mesh)
+    cell.write_text(BUILT_IN.replace("arm = 0.005", "arm = 0.004"), encoding="utf-8")
+    assert "workcell 'cell' has changed" in refusal(tmp_path / "plan.json").replace("nova2-w", "cell")
+    cell.unlink()
+    with pytest.raises(RegraspError, match=r"cell\.toml"):
+        RegraspPlan.load(tmp_path / "plan.json")
+
+
+def refusal(path):
+    with pytest.raises(PlanFileError) as info:
+        RegraspPlan.load(path)
+    assert "\n" not in str(info.value) and len(str(info.value)) < 400
+    return str(info.value)
+
+
+def test_files_that_are_no_plan(tmp_path, plan_content):
+    path = tmp_path / "plan.json"
+    assert "cannot read the plan" in refusal(path)
+    assert "cannot read the plan" in refusal(tmp_path)
+    text = json.dumps(plan_content)
+    for broken in ("", text[: len(text) // 2], "no json", "[" * 100_000, text.replace("{", "[", 1)):
+        path.write_text(broken, encoding="utf-8")
+        assert "not valid JSON" in refusal(path)
+    path.write_bytes(b"\xff\xfe\x00" * 20)
+    assert "not valid JSON" in refusal(path)
+    for other in ("null", "3", "[]", "{}", '"plan"', '{"schema": 2}', '{"schema": "1"}'):
+        path.write_text(other, encoding="utf-8")
+        assert "schema" in refusal(path)
+
+
+def put(value, *keys):
+    """Return a change that puts `value` at `keys` of a plan's content."""
+
+    def change(content):
+        for key in keys[:-1]:
+            content = content[key]
+        content[keys[-1]] = value
+
+    return change
+
+
+def drop(*keys):
+    def change(content):
+        for key in keys[:-1]:
+            content = content[key]
+        del content[keys[-1]]
+
+    return change
+
+
+NAN, HUGE = float("nan"), 10**400
+WRONG = {
+    "missing field": (drop("poses"), "'poses'"),
+    "missing transition field": (drop("transitions", 0, "q_pick"), r"'transitions\.0\.q_pick'"),
+    "unknown field": (put(1, "colour"), "'colour'"),
+    "text for a number": (put("far", "transitions", 0, "q_pick", 0, 2), r"transitions\.0\.q_pick\.0\.2"),
+    "nan joint": (put(NAN, "transitions", 0, "q_pick", 0, 2), r"transitions\.0\.q_pick\.0\.2"),
+    "nan cost": (put(NAN, "cost"), "'cost'"),
+    "infinite clearance": (put(float("inf"), "transitions", 0, "clearance", 0), "clearance"),
+    "nan pose": (put(NAN, "poses", 1, 0, 3), "poses"),
+    "huge pose": (put(HUGE, "poses", 1, 0, 3), ""),
+    "mirrored pose": (put([[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], "poses", 1), "left-handed"),
+    "small pose": (put([[1, 0], [0, 1]], "poses", 1), "pose 1 has shape"),
+    "ragged pose": (put([[1, 0], [0]], "poses", 1), "pose 1"),
+    "no poses": (put([], "poses"), "disagree"),
+    "unknown status": (put("finished", "status"), "unknown status 'finished'; known: solved"),
+    "another count": (put(3, "num_regrasps"), "disagree"),
+    "a pose too few": (drop("poses", 1), "disagree"),
+    "a transition too few": (drop("transitions", 0), "disagree"),
+    "a placement too many": (put([0, 0, 0, 0], "placements"), "disagree"),
+    "a negative placement": (put([-1], "placements"), ""),
+    "a huge placement": (put([HUGE], "placements"), ""),
+    "xi of two numbers": (put([[0.1, 0.2]], "xi"), "xi"),
+    "xi of no numbers": (put([[]], "xi"), "xi"),
+    "a grasp too many": (put([0] * 400, "transitions", 0, "grasp_ids"), "do not fit"),
+    "a joint too few": (put([0.0] * 5, "transitions", 0, "q_place", 0), "do not fit"),
+    "an unknown grasp": (put(200, "transitions", 0, "grasp_ids", 0), "names a grasp that the file does not hold"),
+    "a negative grasp": (put(-1, "transitions", 0, "grasp_ids", 0), ""),
+    "a huge grasp": (put(HUGE, "transitions", 0, "grasp_ids", 0), ""),
+    "a sheared grasp": (put([1, 1, 0, 0], "grasps", 0, "T_object_tcp", 0), "grasp 0"),
+    "a negative width": (put(-0.1, "grasps", 0, "width"), ""),
+    "another object": (put("0" * 64, "object", "fingerprint"), "object 'bottle' has changed since the plan"),
+    "another workcell": (put("0" * 64, "workcell", "fingerprint"), "workcell 'nova2-w' has changed since the plan"),
+    "another scale": (put(0.9, "object", "scale"), "object 'bottle' has changed"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_content_is_named(name, plan_content, tmp_path):
+    change, said = WRONG[name]
+    content = copy.deepcopy(plan_content)
+    change(content)
+    path = tmp_path / "plan.json"
+    path.write_text(json.dumps(content), encoding="utf-8")
+    message = refusal(path)
+    assert re.search(said, message), message
+
+
+@pytest.mark.parametrize("field", ["object", "workcell"])
+def test_an_unknown_object_or_workcell_lists_the_known_ones(field, plan_content, tmp_path):
+    content = copy.deepcopy(plan_content)
+    content[field]["name"] = content[field]["name"] + "x"
+    (tmp_path / "plan.json").write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(RegraspError, match="known: ") as info:
+        RegraspPlan.load(tmp_path / "plan.json")
+    assert "\n" not in str(info.value)
+
+
+def test_a_plan_that_cannot_be_written_leaves_the_old_one(plan, plan_content, tmp_path, monkeypatch):
+    path = tmp_path / "plan.json"
+    path.write_text("old", encoding="utf-8")
+    monkeypatch.setattr(Path, "replace", refuse)
+    with pytest.raises(OSError, match="disk"):
+        plan.save(path)
+    assert [p.name for p in tmp_path.iterdir()] == ["plan.json"] and path.read_text("utf-8") == "old"
+
+
+def refuse(*_):
+    raise OSError("disk full")
