@@ -8,7 +8,8 @@ grasps that training never saw.
 from __future__ import annotations
 
 import time
-from typing import Any
+from dataclasses import replace
+from statistics import median
 
 import numpy as np
 import plotly.graph_objects as go
@@ -24,16 +25,17 @@ from regrasp_opt.benchmarks.session import Session, error_rows, usable
 from regrasp_opt.benchmarks.subjects import planning_key, resident
 from regrasp_opt.connectivity import CostOptions
 from regrasp_opt.connectivity.costs import CostVariant
-from regrasp_opt.conventions import BoolArray
+from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
 from regrasp_opt.files import content_hash
 from regrasp_opt.grasps import sample_grasps
 from regrasp_opt.planning import RegraspProblem
 
 K_TOP = (200, 100, 50, 10)
-PER_PLACEMENT = 200
-UNSEEN_SEED = 1
-PAIRS = {True: 3, False: 10}
+PAIRS = {True: 2, False: 10}
 """Pairs an object, in quick and in full runs."""
+PER_PLACEMENT = {True: 100, False: 200}
+"""Start points for each stable placement, in quick and in full runs."""
+UNSEEN_SEED = 1
 
 METHODS: dict[str, tuple[str, str, CostVariant]] = {
     "ours J": ("default", "lattice", "J"),
@@ -45,7 +47,8 @@ METHODS: dict[str, tuple[str, str, CostVariant]] = {
 """Name of a method: preset of the energy, generator and cost."""
 
 UNSEEN_METHODS = ("ours J", "Langevin J", "paper's preset J")
-_PICTURED = ("ours J", "Langevin J", "Langevin J+", "Langevin J^h")
+PICTURED_POSES = 200
+"""Grid poses that the picture of a pair shows, about."""
 
 
 def run_one_step(session: Session, *, unseen: bool = False) -> Report:
@@ -54,7 +57,6 @@ def run_one_step(session: Session, *, unseen: bool = False) -> Report:
     items: list[Item] = []
     hashes: dict[str, str] = {}
     truth: dict[str, Oracle] = {}
-    pairs: dict[str, tuple[RegraspProblem, Instance]] = {}
     for name, problem in usable(subjects):
         oracle = session.oracle(name, problem, None if session.quick else PAPER_GRID)
         rng = session.rng(10)
@@ -62,8 +64,8 @@ def run_one_step(session: Session, *, unseen: bool = False) -> Report:
         truth[name], hashes[name] = oracle, instances_hash(chosen)
         tested = _with_unseen_grasps(problem) if unseen else problem
         for instance in chosen:
-            pairs.setdefault(name, (problem, instance))
-            items += _items(name, tested, instance, oracle if not unseen else None, session, unseen)
+            pictured = not unseen and instance is chosen[0]
+            items += _items(name, tested, instance, None if unseen else oracle, session, pictured)
     experiment = "unseen" if unseen else "one-step"
     results = session.execute(experiment, items)
     rows = results.rows + error_rows(subjects)
@@ -71,7 +73,7 @@ def run_one_step(session: Session, *, unseen: bool = False) -> Report:
     figures: list[Figure] = []
     if not unseen:
         tables.append(_truth_table(truth, rows))
-        figures = [Figure(f"Intermediate poses for one pair: {n}", _figure(*pairs[n], truth[n])) for n in pairs]
+        figures = [Figure(f"Intermediate poses for one pair: {name}", _figure(name, rows)) for name in truth]
     return Report(
         experiment,
         "One intermediate pose, unseen grasps" if unseen else "One intermediate pose",
@@ -81,7 +83,7 @@ def run_one_step(session: Session, *, unseen: bool = False) -> Report:
         tuple(figures),
         hashes,
         results.revisions,
-        {"quick": session.quick, "seed": session.seed, "starts per placement": PER_PLACEMENT},
+        {"quick": session.quick, "seed": session.seed, "starts per placement": PER_PLACEMENT[session.quick]},
     )
 
 
@@ -97,71 +99,80 @@ def _with_unseen_grasps(problem: RegraspProblem) -> RegraspProblem:
 
 
 def _items(
-    name: str, problem: RegraspProblem, instance: Instance, oracle: Oracle | None, session: Session, unseen: bool
+    name: str, problem: RegraspProblem, instance: Instance, oracle: Oracle | None, session: Session, pictured: bool
 ) -> list[Item]:
-    depends = content_hash(
-        planning_key(problem), instances_hash([instance]), session.seed, PER_PLACEMENT, str(session.grid)
-    )
-    share = None
+    """Return the work on one pair; without an oracle the methods are those for unseen grasps."""
+    starts = PER_PLACEMENT[session.quick]
+    depends = content_hash(planning_key(problem), instances_hash([instance]), session.seed, starts, pictured)
+    columns: Row = {"object": name, "pair": instance.name}
+    items = []
     if oracle is not None:
         start, goal = (problem.feasible_grasps(T) for T in (instance.start, instance.goal))
-        share = float(oracle.one_step(start, goal).mean())
-    return [
-        Item(
-            f"{instance.name}/{method}",
-            depends,
-            measure_pair,
-            (_bare(problem, METHODS[method][0]), instance, method, session.seed),
-            {"object": name, "pair": instance.name, "method": method, "grid_share": share},
-        )
-        for method in (UNSEEN_METHODS if unseen else METHODS)
-    ]
+        valid = oracle.one_step(start, goal)
+        truth = {**columns, "method": "grid", "share": float(valid.mean())}
+        shown = np.flatnonzero(valid)[:: max(1, int(valid.sum()) // PICTURED_POSES)] if pictured else []
+        poses = _pose_rows(oracle.placements[shown], oracle.xi[shown], np.ones(len(shown), dtype=bool))
+        key = content_hash(depends, oracle.xi)
+        items.append(Item(f"{instance.name}/grid", key, _as_they_are, ([{}, *poses],), truth))
+    for method in UNSEEN_METHODS if oracle is None else METHODS:
+        tested = replace(problem, preset=METHODS[method][0])
+        arguments = (tested, instance, method, session.seed, starts, pictured)
+        items.append(Item(f"{instance.name}/{method}", depends, measure_pair, arguments, {**columns, "method": method}))
+    return items
 
 
-def _bare(problem: RegraspProblem, preset: Any) -> RegraspProblem:
-    """Return `problem` with the energy of `preset`, without the heavy parts that may be attached."""
-    return RegraspProblem(
-        problem.object, problem.workcell, problem.grasps, problem.placements, problem.model_folder, preset
-    )
+def _as_they_are(rows: list[Row]) -> list[Row]:
+    return rows
 
 
-def measure_pair(problem: RegraspProblem, instance: Instance, method: str, seed: int) -> list[Row]:
-    """Return one row for each K_top: S.V., distinct poses among the K_top, and the time of the generation."""
+def measure_pair(
+    problem: RegraspProblem, instance: Instance, method: str, seed: int, starts: int, pictured: bool
+) -> list[Row]:
+    """Return one row for each K_top: S.V., distinct poses among the K_top, and the time of the generation.
+
+    Parameters
+    ----------
+    method : str
+        One of `METHODS`.
+    starts : int
+        Start points for each placement.
+    pictured : bool
+        Return a row for each of the cheapest poses as well.
+    """
     problem = resident(problem)
-    task = _task(problem, instance)
-    if not task.feasible.any(axis=1).all():
+    ends = np.stack([instance.start, instance.goal])
+    feasible = np.array([problem.feasible_grasps(T) for T in ends])
+    if not feasible.any(axis=1).all():
         return [{"skipped": "no grasp of this set is feasible at one of the ends"}]
+    _, name, variant = METHODS[method]
+    generator = GENERATORS[name]()
+    task = OneStepTask(problem.energy, problem.placement_poses, problem.workcell.bounds.array, ends, feasible)
+    options = CostOptions(variant=variant, h=problem.energy.model.threshold)
+    lattice = problem.lattice if generator.starts == "lattice" else None
     began = time.perf_counter()
-    found = _generate(problem, task, method, seed)
-    seconds = time.perf_counter() - began
-    top = found.take(slice(0, max(K_TOP)))
-    placements, xi = top.placements[:, 0], top.xi[:, 0]
-    valid = verdicts(problem.checker, task.poses(placements, xi), task.feasible)
-    direct = bool(task.feasible.all(axis=0).any())
-    return [
+    found = generate(task, generator, options, starts, np.random.default_rng([seed, 11]), lattice)
+    seconds = round(time.perf_counter() - began, 3)
+    placements, xi = found.placements[: max(K_TOP), 0], found.xi[: max(K_TOP), 0]
+    valid = verdicts(problem.checker, task.poses(placements, xi), feasible)
+    direct = bool(feasible.all(axis=0).any())
+    rows: list[Row] = [
         {
             "k_top": k,
             "sv": float(valid[:k].mean()),
             "distinct": distinct(placements[:k], xi[:k]),
             "direct": direct,
-            "seconds": round(seconds, 3),
+            "seconds": seconds,
         }
         for k in K_TOP
     ]
+    return rows + (_pose_rows(placements, xi, valid) if pictured else [])
 
 
-def _task(problem: RegraspProblem, instance: Instance) -> OneStepTask:
-    ends = np.stack([instance.start, instance.goal])
-    feasible: BoolArray = np.array([problem.feasible_grasps(T) for T in ends])
-    return OneStepTask(problem.energy, problem.placement_poses, problem.workcell.bounds.array, ends, feasible)
-
-
-def _generate(problem: RegraspProblem, task: OneStepTask, method: str, seed: int) -> Any:
-    _, name, variant = METHODS[method]
-    generator = GENERATORS[name]()
-    options = CostOptions(variant=variant, h=problem.energy.model.threshold)
-    lattice = problem.lattice if generator.starts == "lattice" else None
-    return generate(task, generator, options, PER_PLACEMENT, np.random.default_rng([seed, 11]), lattice)
+def _pose_rows(placements: IntArray, xi: FloatArray, valid: BoolArray) -> list[Row]:
+    return [
+        {"placement": int(p), "x": float(x), "y": float(y), "yaw": float(yaw), "valid": bool(v)}
+        for p, (x, y, yaw), v in zip(placements, xi, valid, strict=True)
+    ]
 
 
 def _table(rows: list[Row], unseen: bool) -> Table:
@@ -189,21 +200,20 @@ def _table(rows: list[Row], unseen: bool) -> Table:
 def _truth_table(truth: dict[str, Oracle], rows: list[Row]) -> Table:
     lines = []
     for name, oracle in truth.items():
-        shares = {row["pair"]: row["grid_share"] for row in rows if row.get("object") == name and "grid_share" in row}
-        times = {
-            method: [row["seconds"] for row in rows if row.get("object") == name and row.get("method") == method
-                     and "seconds" in row]
+        here = [row for row in rows if row.get("object") == name]
+        shares = [row["share"] for row in here if "share" in row and "x" not in row]
+        times = [
+            [row["seconds"] for row in here if row.get("method") == method and "seconds" in row]
             for method in ("ours J", "Langevin J")
-        }  # fmt: skip
+        ]
         lines.append(
             (
                 name,
-                len(oracle.placements),
-                len(oracle.feasible[0]),
-                percent(list(shares.values())),
-                percent([min(shares.values(), default=0.0)]),
+                *oracle.feasible.shape,
+                percent(shares),
+                percent(sorted(shares)[:1]),
                 round(oracle.seconds, 1),
-                *(round(float(np.median(t)), 2) if t else None for t in times.values()),
+                *(round(median(t), 2) if t else None for t in times),
             )
         )
     return Table(
@@ -215,37 +225,26 @@ def _truth_table(truth: dict[str, Oracle], rows: list[Row]) -> Table:
     )
 
 
-def _figure(problem: RegraspProblem, instance: Instance, oracle: Oracle) -> go.Figure:
-    """Return the valid grid poses beside the poses of each cost, seen from above, as in Fig. 6."""
-    problem = resident(problem)
-    task = _task(problem, instance)
-    figure = make_subplots(
-        rows=1, cols=1 + len(_PICTURED), subplot_titles=["ground truth", *_PICTURED], shared_yaxes=True
-    )
-    mask = oracle.one_step(task.feasible[0], task.feasible[1])
-    thin = np.flatnonzero(mask)[:: max(1, int(mask.sum()) // 400)]
-    figure.add_trace(_arrows(oracle.xi[thin], oracle.placements[thin]), row=1, col=1)
-    for column, method in enumerate(_PICTURED, start=2):
-        found = _generate(problem, task, method, 0).take(slice(0, 200))
-        figure.add_trace(_arrows(found.xi[:, 0], found.placements[:, 0]), row=1, col=column)
-    low, high = problem.workcell.bounds.array
-    figure.update_xaxes(range=[low[0], high[0]], title_text="x [m]")
-    figure.update_yaxes(range=[low[1], high[1]], scaleanchor="x")
+def _figure(name: str, rows: list[Row]) -> go.Figure:
+    """Return the valid grid poses beside the cheapest poses of each method, seen from above, as in Fig. 6."""
+    methods = ("grid", *METHODS)
+    figure = make_subplots(rows=1, cols=len(methods), subplot_titles=methods, shared_yaxes=True)
+    for column, method in enumerate(methods, start=1):
+        poses = [r for r in rows if r.get("object") == name and r.get("method") == method and "x" in r]
+        for valid, colour in ((True, "#0072b2"), (False, "#d55e00")):
+            figure.add_trace(_arrows([r for r in poses if r["valid"] is valid], colour), row=1, col=column)
+    figure.update_xaxes(title_text="x [m]")
+    figure.update_yaxes(scaleanchor="x")
     figure.update_layout(height=360, showlegend=False, margin={"l": 50, "r": 10, "t": 40, "b": 40})
     return figure
 
 
-def _arrows(xi: Any, placements: Any) -> go.Scatter:
+def _arrows(poses: list[Row], colour: str) -> go.Scatter:
     return go.Scatter(
-        x=xi[:, 0],
-        y=xi[:, 1],
+        x=[r["x"] for r in poses],
+        y=[r["y"] for r in poses],
         mode="markers",
-        marker={
-            "symbol": "arrow",
-            "size": 8,
-            "angle": 90 - np.degrees(xi[:, 2]),
-            "color": placements,
-            "colorscale": "Turbo",
-        },
-        text=[f"placement {p}" for p in placements],
+        marker={"symbol": "arrow", "size": 8, "angle": [90 - np.degrees(r["yaw"]) for r in poses], "color": colour},
+        text=[f"placement {r['placement']}" for r in poses],
+        hoverinfo="text",
     )

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import json
 import logging
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -89,7 +90,8 @@ def run_items(items: Sequence[Item], folder: Path, *, jobs: int = -1, quiet: boo
     stored = [_read(folder / item.file_name, item) for item in items]
     missing = [i for i, content in enumerate(stored) if content is None]
     revision = git_revision()
-    with progress_bar(quiet) as bar:
+    with progress_bar(quiet) as bar, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="A worker stopped")  # joblib replaces workers that have grown
         task = bar.add_task("instances", total=len(items), completed=len(items) - len(missing))
         work = (joblib.delayed(_compute)(i, items[i]) for i in missing)
         with joblib.Parallel(n_jobs=jobs, return_as="generator_unordered") as parallel:

@@ -12,6 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from regrasp_opt.cli.poses import describe_pose, parse_pose
+from regrasp_opt.conventions import as_seed
 from regrasp_opt.errors import RegraspError
 from regrasp_opt.planning import RegraspPlan, RegraspProblem, solve_sequence
 from regrasp_opt.planning.plan_file import plan_summary
@@ -76,7 +77,7 @@ def _task(request: PlanRequest, problem: RegraspProblem) -> Task:
     }
     if ends["start"] is not None and ends["goal"] is not None:
         return Task(ends["start"], ends["goal"], -1)
-    rng = np.random.default_rng(request.seed)
+    rng = np.random.default_rng(as_seed(request.seed))
     try:
         return random_task(problem, rng, start=ends["start"], goal=ends["goal"], needs_regrasp=True)
     except RegraspError:

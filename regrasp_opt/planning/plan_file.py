@@ -42,7 +42,7 @@ class _Reference(_Record):
 
 class _Grasp(_Record):
     T_object_tcp: list[Row]
-    width: float
+    width: Annotated[float, Field(ge=0)]
 
 
 class _Transition(_Record):
@@ -66,7 +66,7 @@ class _File(_Record):
     refiner_stats: list[dict[str, Any]]
     object: _Reference
     workcell: _Reference
-    grasps: list[_Grasp]
+    grasps: Annotated[list[_Grasp], Field(min_length=1)]
 
 
 def plan_summary(plan: RegraspPlan) -> dict[str, Any]:

@@ -40,8 +40,13 @@ def test_the_example_of_the_documentation():
     np.testing.assert_allclose(T[:3, :3] @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-12)
 
 
-@pytest.mark.parametrize("text", ["3:0,0,0", "-1:0,0,0", "0:0,0", "0:0,0,0,0", "0:,,", "0:x,0,0", ":0,0,0", "", "0:1e999,0,0",
-                                  "0:0,0,nan", "1.5:0,0,0", "0;0,0,0", "9" * 5000 + ":0,0,0", "a" * 5000, "a\0b", "\0.json"])  # fmt: skip
+NO_POSES = [
+    "3:0,0,0", "-1:0,0,0", "0:0,0", "0:0,0,0,0", "0:,,", "0:x,0,0", ":0,0,0", "", "0:1e999,0,0", "0:0,0,nan",
+    "1.5:0,0,0", "0;0,0,0", "9" * 5000 + ":0,0,0", "a" * 5000, "a\0b", "\0.json",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("text", NO_POSES, ids=lambda text: ascii(text[:20]))
 def test_what_is_no_pose_is_refused(text):
     with pytest.raises(PoseError) as info:
         parse_pose(text, "start", PLACEMENTS)

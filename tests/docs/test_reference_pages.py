@@ -99,3 +99,25 @@ def test_every_public_name_is_in_the_reference():
     for name in regrasp_opt.__all__:
         assert f"regrasp_opt.{name}\n" in text or name == "RegraspError", name
     assert "automodule:: regrasp_opt.errors" in text
+
+
+def test_the_version_is_the_same_everywhere():
+    patterns = {
+        "pyproject.toml": r'^version = "(.+)"$',
+        "CITATION.cff": r"^version: (.+)$",
+        "docs/conf.py": r'^version = release = "(.+)"$',
+    }
+    found = {name: re.search(p, (ROOT / name).read_text(encoding="utf-8"), re.M)[1] for name, p in patterns.items()}
+    assert len(set(found.values())) == 1, found
+    assert f"## [{found['pyproject.toml']}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_constraints_are_exact_and_cover_the_dependencies():
+    text = (ROOT / "constraints.txt").read_text(encoding="utf-8")
+    lines = [line for line in text.splitlines() if line and not line.startswith("#")]
+    assert all(re.fullmatch(r"[\w.-]+==[\d.]+(b\d+)?", line) for line in lines)
+    pinned = {re.sub(r"[-_.]+", "-", line.split("==")[0]).lower() for line in lines}
+    settings = (ROOT / "pyproject.toml").read_text(encoding="utf-8").split("[project.scripts]")[0]
+    needed = re.findall(r'"([\w-]+)>=[\d.]+"', settings.split("dependencies = [", 1)[1])
+    assert len(needed) > 20
+    assert {re.sub(r"[-_.]+", "-", name).lower() for name in needed} <= pinned

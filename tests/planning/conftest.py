@@ -5,21 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from regrasp_opt import RegraspProblem, solve_sequence
+from regrasp_opt import solve_sequence
 from regrasp_opt.planning.tasks import random_task
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _data_home_of_wide_fixtures(tmp_path_factory):
-    """Keep what session fixtures write out of the user's folders."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("REGRASP_OPT_HOME", str(tmp_path_factory.getbasetemp() / "data-home"))
-        yield
-
-
-@pytest.fixture(scope="session")
-def mug_problem():
-    return RegraspProblem.load("mug", "nova2-w")
 
 
 @pytest.fixture(scope="session")

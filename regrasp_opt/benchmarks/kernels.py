@@ -1,0 +1,166 @@
+"""Timings of what plans are made of: derivatives of ``J_seq``, Ipopt's cost by size, exact checks.
+
+Everything is a ratio or a median within one process; energies here are random, because values do not change timings.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import casadi as ca
+import joblib
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from regrasp_opt.connectivity import CostOptions
+from regrasp_opt.connectivity.casadi_costs import layers_parameter, plain_sequence_cost, sequence_functions
+from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, planar_transform
+from regrasp_opt.energy.casadi_energy import CasadiEnergy
+from regrasp_opt.energy.features import feature_count
+from regrasp_opt.energy.model import EnergyModel, GraspEnergy
+from regrasp_opt.feasibility.dataset import random_poses
+from regrasp_opt.grasps import GraspSet
+from regrasp_opt.planning import RegraspProblem
+
+SIZES = {"N": (1, 2, 3, 4, 6, 8), "G": (50, 100, 200, 500, 1000, 2000), "H": (32, 64, 128, 256)}
+STANDARD = {"N": 2, "G": 200, "H": 64}
+
+
+def random_energy(count: int, hidden: int, seed: int = 0) -> GraspEnergy:
+    """Return an energy with random weights on `count` random grasps."""
+    rng = np.random.default_rng(seed)
+    shapes = [(hidden, feature_count("tcp", True)), (hidden, hidden), (1, hidden)]
+    weights = tuple((1.5 * rng.normal(size=s) / np.sqrt(s[1])).astype(np.float32) for s in shapes)
+    biases = tuple((0.3 * rng.normal(size=s[0])).astype(np.float32) for s in shapes)
+    model = EnergyModel(weights, biases, "silu", "tcp", True, True, 1.0)
+    return GraspEnergy(model, GraspSet(_transforms(rng, count), rng.uniform(0.01, 0.1, count), "parallel"))
+
+
+def _transforms(rng: np.random.Generator, count: int) -> FloatArray:
+    T = np.tile(np.eye(4), (count, 1, 1))
+    T[:, :3, :3] = Rotation.random(count, rng=rng).as_matrix()
+    T[:, :3, 3] = 0.1 * rng.normal(size=(count, 3))
+    return T
+
+
+def median_time(function: Callable[[], Any], repeats: int) -> float:
+    """Return the median time of `function` over `repeats` calls after one that is not counted [s]."""
+    function()
+    times = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        function()
+        times.append(time.perf_counter() - began)
+    return float(np.median(times))
+
+
+def _arguments(energy: GraspEnergy, num_regrasps: int) -> tuple[Any, Any, Any]:
+    rng = np.random.default_rng(1)
+    layers = layers_parameter(energy, _transforms(rng, num_regrasps))
+    ends = rng.uniform(0, 4, (len(energy), 2))
+    return ca.DM(rng.normal(size=(3, num_regrasps))), ca.DM(layers), ca.DM(ends)
+
+
+def derivative_speed(num_regrasps: int = 3, count: int = 200, hidden: int = 128, repeats: int = 15) -> dict[str, float]:
+    """Return our times [s], those of CasADi's differentiation of the plainly built cost, and their disagreement."""
+    energy = random_energy(count, hidden)
+    xi, layers, ends = _arguments(energy, num_regrasps)
+    ours = sequence_functions(CasadiEnergy(energy.model, count), CostOptions(), num_regrasps)
+    plain = plain_sequence_cost(CasadiEnergy(energy.model, count, "reference"), CostOptions(), num_regrasps)
+    x = ca.MX.sym("xi", 3, num_regrasps)
+    hessian, gradient = ca.hessian(plain(x, layers, ends), ca.vec(x))
+    plain_gradient = ca.Function("gradient", [x], [gradient])
+    plain_hessian = ca.Function("hessian", [x], [hessian])
+    difference = max(
+        float(ca.norm_inf(ca.vec(plain_hessian(xi) - ours.hessian(xi, layers, ends, 1, 0)))),
+        float(ca.norm_inf(plain_gradient(xi) - ours.gradient(xi, layers, ends)[1])),
+    )
+    return {
+        "hessian": median_time(lambda: ours.hessian(xi, layers, ends, 1, 0), repeats),
+        "plain_hessian": median_time(lambda: plain_hessian(xi), repeats),
+        "gradient": median_time(lambda: ours.gradient(xi, layers, ends), repeats),
+        "plain_gradient": median_time(lambda: plain_gradient(xi), repeats),
+        "difference": difference,
+    }
+
+
+def iteration_curve(axis: str, repeats: int = 15) -> list[dict[str, float]]:
+    """Return the time of what one Ipopt iteration evaluates (cost, gradient, Hessian) along `axis` "N", "G" or "H"."""
+    rows = []
+    for size in SIZES[axis]:
+        at = {**STANDARD, axis: size}
+        energy = random_energy(at["G"], at["H"])
+        functions = sequence_functions(CasadiEnergy(energy.model, at["G"]), CostOptions(), at["N"])
+        arguments = _arguments(energy, at["N"])
+        seconds = sum(
+            median_time(call, repeats)
+            for call in (
+                lambda f=functions, a=arguments: f.cost(*a),
+                lambda f=functions, a=arguments: f.gradient(*a),
+                lambda f=functions, a=arguments: f.hessian(*a, 1, 0),
+            )
+        )
+        rows.append({**at, "seconds": seconds})
+    return rows
+
+
+def exponent(rows: Sequence[dict[str, float]], axis: str) -> float:
+    """Return the slope of log time over log size by least squares."""
+    sizes, seconds = (np.log([row[key] for row in rows]) for key in (axis, "seconds"))
+    return float(np.polyfit(sizes, seconds, 1)[0])
+
+
+def check_speed(problem: RegraspProblem, pairs: int = 100_000, jobs: int = 2) -> dict[str, float]:
+    """Return exact checks a second of `jobs` processes, those of a plain loop, and how many labels differ."""
+    count = len(problem.grasps)
+    poses = -(-pairs // count)
+    numbers, xi = random_poses(problem.placement_poses, problem.workcell.bounds.array, poses, np.random.default_rng(0))
+    T = planar_transform(xi) @ problem.placement_poses[numbers]
+    parts = np.array_split(T, 4 * jobs)
+    with joblib.Parallel(n_jobs=jobs) as parallel:
+        list(parallel(joblib.delayed(_batched)(problem, part[:1]) for part in parts))  # start the workers
+        began = time.perf_counter()
+        labels = np.concatenate(list(parallel(joblib.delayed(_batched)(problem, part) for part in parts)))
+        batched = time.perf_counter() - began
+        began = time.perf_counter()
+        plain = np.concatenate(list(parallel(joblib.delayed(_plain_loop)(problem, part) for part in parts)))
+        loop = time.perf_counter() - began
+    return {
+        "pairs": labels.size,
+        "per_second": labels.size / batched,
+        "plain_per_second": labels.size / loop,
+        "different_labels": int((labels != plain).sum()),
+        "feasible_share": float(labels.mean()),
+    }
+
+
+_problems: dict[str, RegraspProblem] = {}
+
+
+def _same_problem(problem: RegraspProblem) -> RegraspProblem:
+    """Return one problem a process, so that its checker is built once."""
+    return _problems.setdefault(problem.grasps.fingerprint(), problem)
+
+
+def _batched(problem: RegraspProblem, T: FloatArray) -> BoolArray:
+    checker = _same_problem(problem).checker
+    return np.array([checker.feasible(pose) for pose in T]).reshape(len(T), len(checker.grasps))
+
+
+def _plain_loop(problem: RegraspProblem, T: FloatArray) -> BoolArray:
+    """Check pair by pair with nothing rejected early: inverse kinematics, then every branch against everything."""
+    checker = _same_problem(problem).checker
+    cell, scene, grasps = checker.workcell, checker.scene, checker.grasps
+    labels = np.zeros((len(T), len(grasps)), dtype=bool)
+    ids: IntArray = np.arange(len(grasps))
+    for b, pose in enumerate(T):
+        scene.place_object(pose)
+        apart = not checker.object_collides(pose)
+        for g in ids.tolist():
+            scene.set_grasp(g)
+            T_world_flange = pose @ grasps.T_object_tcp[g] @ cell.end_effector.T_tcp_flange
+            branches = cell.robot.solve_ik(cell.T_base_world @ T_world_flange).q
+            labels[b, g] = apart and any([not scene.collides(q) for q in branches])
+    return labels

@@ -1,0 +1,163 @@
+"""`regrasp-opt bench speed`: how long plans take, against Langevin at the paper's setting, and where the time goes.
+
+Plans are timed in a warm process, one after the other on whatever else the machine is doing; what is claimed is the
+ratio within one run. Whole processes and peak memory are those of child processes.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from regrasp_opt.benchmarks import kernels
+from regrasp_opt.benchmarks.environment import environment
+from regrasp_opt.benchmarks.speed_page import performance_page
+from regrasp_opt.files import atomic_path
+from regrasp_opt.grasps import GraspSet
+from regrasp_opt.objects import OBJECT_NAMES
+from regrasp_opt.planning import RegraspPlan, RegraspProblem, solve_sequence
+from regrasp_opt.planning.tasks import Task, random_task
+
+THIN_GRASPS = 12
+"""Grasps of the problems that need two or three regrasps."""
+Row = dict[str, Any]
+
+
+def plan_rows(name: str, count: int, langevin: int, tell: Callable[[str], None]) -> list[Row]:
+    """Return one row for each timed plan of a built-in object: one regrasp, two or three regrasps, and Langevin.
+
+    Parameters
+    ----------
+    count : int
+        Plans with one regrasp; as many with two or three are looked for with `THIN_GRASPS` grasps.
+    langevin : int
+        How many of the first are also planned by Langevin at the paper's setting.
+    """
+    problem = RegraspProblem.load(name, "nova2-w")
+    rng = np.random.default_rng(0)
+    tasks = [random_task(problem, rng, needs_regrasp=True) for _ in range(count)]
+    for task in tasks:  # builds the lattice, and each solver once
+        solve_sequence(problem, task.start, task.goal)
+    rows = [_timed(problem, task, "ipopt", seed) for seed, task in enumerate(tasks)]
+    tell(f"{name}: Langevin at the paper's setting")
+    chosen = [i for i, row in enumerate(rows) if row["N"] == 1][:langevin]
+    rows += [_timed(problem, tasks[i], "langevin", i) for i in chosen]
+    tell(f"{name}: two and three regrasps")
+    return rows + _deep_rows(problem, count, rng)
+
+
+def _deep_rows(problem: RegraspProblem, count: int, rng: np.random.Generator) -> list[Row]:
+    """Return rows of plans with two or three regrasps, on problems with few grasps."""
+    rows: list[Row] = []
+    for attempt in range(20):
+        ids = rng.choice(len(problem.grasps), THIN_GRASPS, replace=False)
+        grasps: GraspSet = problem.grasps.subset(ids)
+        thin = RegraspProblem.load(problem.object, problem.workcell, grasps=grasps)
+        tasks = [random_task(thin, rng, needs_regrasp=True) for _ in range(40)]
+        deep = []
+        for task in tasks:
+            plan = solve_sequence(thin, task.start, task.goal, max_regrasps=3)
+            if plan.solved and plan.num_regrasps >= 2:
+                deep.append(task)
+        rows += [_timed(thin, task, "ipopt", 100 * attempt + k) for k, task in enumerate(deep)]
+        if len(rows) >= count:
+            break
+    return rows
+
+
+def _timed(problem: RegraspProblem, task: Task, refiner: str, seed: int) -> Row:
+    began = time.perf_counter()
+    plan: RegraspPlan = solve_sequence(problem, task.start, task.goal, refiner, seed=seed)
+    seconds = time.perf_counter() - began
+    parts = {f"t_{name}": value for name, value in plan.timings.items() if name != "total"}
+    return {
+        "object": problem.object.name,
+        "grasps": len(problem.grasps),
+        "refiner": refiner,
+        "solved": plan.solved,
+        "N": plan.num_regrasps if plan.solved else None,
+        "seconds": seconds,
+        **parts,
+    }
+
+
+def process_row(label: str, arguments: list[str], environment: dict[str, str] | None = None) -> Row:
+    """Run the command line in a child process; return its wall time [s], peak memory [MB] and exit code."""
+    command = [sys.executable, "-c", "from regrasp_opt.cli import main; main()", *arguments]
+    with tempfile.TemporaryFile() as output:
+        began = time.perf_counter()
+        child = subprocess.Popen(command, stdout=output, stderr=output, env={**os.environ, **(environment or {})})
+        _, status, usage = os.wait4(child.pid, 0)
+        child.returncode = os.waitstatus_to_exitcode(status)
+        seconds = time.perf_counter() - began
+    scale = 1e6 if sys.platform == "darwin" else 1e3
+    return {"what": label, "seconds": seconds, "peak_mb": usage.ru_maxrss / scale, "exit": child.returncode}
+
+
+def process_rows(meshes: list[Path], repeats: int, samples: int, tell: Callable[[str], None]) -> list[Row]:
+    """Return rows of whole processes: help, a plan from a stored model, and prepare and plan for each mesh."""
+    tell("whole processes")
+    rows = [process_row("regrasp-opt --help", ["--help"]) for _ in range(repeats)]
+    rows += [process_row("regrasp-opt plan", ["plan"]) for _ in range(repeats)]
+    for mesh in meshes:
+        tell(f"prepare and plan {mesh.name}")
+        with tempfile.TemporaryDirectory() as home:
+            fresh = {"REGRASP_OPT_HOME": home}
+            prepared = process_row(f"prepare {mesh.name}", ["prepare", str(mesh), "--samples", str(samples)], fresh)
+            planned = process_row(f"plan {mesh.name}", ["plan", "--object", str(mesh)], fresh)
+        both = {"what": f"prepare + plan {mesh.name}", "seconds": prepared["seconds"] + planned["seconds"]}
+        both |= {"peak_mb": max(prepared["peak_mb"], planned["peak_mb"])}
+        rows += [prepared, planned, {**both, "exit": max(prepared["exit"], planned["exit"])}]
+    return rows
+
+
+def measure(*, quick: bool, meshes: list[Path], tell: Callable[[str], None]) -> dict[str, Any]:
+    """Measure everything; `quick` takes fewer plans, pairs and repetitions.
+
+    Returns
+    -------
+    dict
+        ``plans`` and ``processes`` (rows), ``derivatives``, ``curves`` with ``exponents``, ``checks``, ``peak_mb``.
+    """
+    plans: list[Row] = []
+    for name in OBJECT_NAMES:
+        tell(f"{name}: one regrasp")
+        plans += plan_rows(name, 6 if quick else 40, 1 if quick else 5, tell)
+    tell("derivatives and scaling")
+    repeats = 5 if quick else 25
+    derivatives = kernels.derivative_speed(repeats=repeats)
+    curves = {axis: kernels.iteration_curve(axis, repeats) for axis in kernels.SIZES}
+    tell("exact checks")
+    checks = kernels.check_speed(RegraspProblem.load("bottle", "nova2-w"), 10_000 if quick else 100_000)
+    processes = process_rows(meshes, 3 if quick else 7, 2_000 if quick else 20_000, tell)
+    return {
+        "plans": plans,
+        "derivatives": derivatives,
+        "curves": curves,
+        "exponents": {axis: kernels.exponent(rows, axis) for axis, rows in curves.items()},
+        "checks": checks,
+        "processes": processes,
+        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
+    }
+
+
+def run_speed(out: Path, *, quick: bool, meshes: list[Path], tell: Callable[[str], None]) -> dict[str, Any]:
+    """Measure, write ``speed.json`` and ``performance.md`` to the folder `out`, and return what was measured."""
+    result = measure(quick=quick, meshes=meshes, tell=tell)
+    described = environment()
+    content = json.dumps({"environment": described, **result}, indent=1) + "\n"
+    page = performance_page(result, described, "regrasp-opt bench speed" + (" --quick" if quick else ""))
+    for name, text in (("speed.json", content), ("performance.md", page)):
+        with atomic_path(out / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    return result
