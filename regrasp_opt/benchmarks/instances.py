@@ -102,7 +102,7 @@ def choose_instances(
         "3+": (table >= 3) & np.isfinite(table),
         "unsolvable": np.isinf(table),
     }
-    chosen = []
+    chosen: list[Instance] = []
     for tier, count in wanted.items():
         pairs = np.argwhere(masks[tier] & off_diagonal)
         for i, j in pairs[rng.permutation(len(pairs))[:count]]:

@@ -1,8 +1,8 @@
 """One intermediate pose (Table I, Fig. 6): the share of generated poses that an exact check confirms.
 
 For pairs of poses that share no grasp and that the grid oracle solves with one regrasp, every generator ranks its
-poses by cost; S.V. is the share of the K_top cheapest that share a grasp with both ends. ``unseen`` repeats it with
-grasps that training never saw.
+poses by cost; S.V. is the share of the K_top cheapest that share a grasp with both ends. The paper's second set of grasps, which
+training never saw, goes through the same code.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from statistics import median
+from typing import Literal
 
 import numpy as np
 import plotly.graph_objects as go
@@ -30,6 +31,11 @@ from regrasp_opt.files import content_hash
 from regrasp_opt.grasps import sample_grasps
 from regrasp_opt.planning import RegraspProblem
 
+TEXT = (
+    "Start-goal pairs that share no grasp and that an exact grid search solves with one regrasp. S.V. is the share of the "
+    "K_top cheapest generated intermediate poses that, by inverse kinematics and collision checks, share a grasp with "
+    "both ends."
+)
 K_TOP = (200, 100, 50, 10)
 PAIRS = {True: 2, False: 10}
 """Pairs an object, in quick and in full runs."""
@@ -37,7 +43,7 @@ PER_PLACEMENT = {True: 100, False: 200}
 """Start points for each stable placement, in quick and in full runs."""
 UNSEEN_SEED = 1
 
-METHODS: dict[str, tuple[str, str, CostVariant]] = {
+METHODS: dict[str, tuple[Literal["default", "paper"], str, CostVariant]] = {
     "ours J": ("default", "lattice", "J"),
     "Langevin J": ("default", "langevin", "J"),
     "Langevin J+": ("default", "langevin", "J+"),
@@ -77,7 +83,7 @@ def run_one_step(session: Session, *, unseen: bool = False) -> Report:
     return Report(
         experiment,
         "One intermediate pose, unseen grasps" if unseen else "One intermediate pose",
-        __doc__.split("\n\n", 1)[1].replace("\n", " ").strip(),
+        TEXT,
         tuple(tables),
         rows,
         tuple(figures),
@@ -110,8 +116,8 @@ def _items(
         start, goal = (problem.feasible_grasps(T) for T in (instance.start, instance.goal))
         valid = oracle.one_step(start, goal)
         truth = {**columns, "method": "grid", "share": float(valid.mean())}
-        shown = np.flatnonzero(valid)[:: max(1, int(valid.sum()) // PICTURED_POSES)] if pictured else []
-        poses = _pose_rows(oracle.placements[shown], oracle.xi[shown], np.ones(len(shown), dtype=bool))
+        shown = np.flatnonzero(valid & pictured)[:: max(1, int(valid.sum()) // PICTURED_POSES)]
+        poses = _pose_rows(oracle.placements[shown], oracle.xi[shown], valid[shown])
         key = content_hash(depends, oracle.xi)
         items.append(Item(f"{instance.name}/grid", key, _as_they_are, ([{}, *poses],), truth))
     for method in UNSEEN_METHODS if oracle is None else METHODS:
@@ -191,8 +197,8 @@ def _table(rows: list[Row], unseen: bool) -> Table:
         "S.V. on unseen grasps [%]" if unseen else "S.V. by cost and generator [%]",
         ("object", "K_top", *methods, *paper_columns),
         tuple(lines),
-        "Ours ranks the lattice poses of each placement; Langevin uses our energy, the paper's optimiser, random starts "
-        "and the exact grasps of both ends; the last of our columns is the paper's preset, optimiser and learned ends, "
+        "Ours ranks the lattice poses of each placement; Langevin uses our energy, the paper's optimiser, random "
+        "starts and the exact grasps of both ends; the last of our columns is the paper's preset, optimiser and learned ends, "
         "trained on the same data. Paper: its Table I, on its own grasps and checker.",
     )
 
@@ -220,8 +226,8 @@ def _truth_table(truth: dict[str, Oracle], rows: list[Row]) -> Table:
         "Exhaustive grid search",
         ("object", "poses", "grasps", "valid poses [%]", "least valid [%]", "grid [CPU s]", "ours [s]", "Langevin [s]"),
         tuple(lines),
-        "Grid poses that are valid intermediate poses, mean and least over the pairs; processor time of the grid, which "
-        "is computed once and kept; median time to generate all poses of one pair.",
+        "Grid poses that are valid intermediate poses, mean and least over the pairs; processor time of the grid, "
+        "which is computed once and kept; median time to generate all poses of one pair.",
     )
 
 

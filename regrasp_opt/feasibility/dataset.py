@@ -77,7 +77,7 @@ class LabellingTask:
             self.grasps.fingerprint(),
             self.placements,
         ]
-        return content_hash("labels-1", *parts, self.seed, POSES_PER_BLOCK, GRASPS_PER_POSE)
+        return content_hash("labels-2", *parts, self.seed, POSES_PER_BLOCK, GRASPS_PER_POSE)
 
 
 def random_poses(

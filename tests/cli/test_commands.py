@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from command import as_process, assert_refused, in_process
 
+from regrasp_opt.cli.app import run
+
 KEYS = ["status", "num_regrasps", "cost", "poses", "transitions", "timings"]
 ENDS = ("--start", "0:0.2,0.35,30", "--goal", "0:-0.2,0.35,210")
 
@@ -16,8 +18,7 @@ ENDS = ("--start", "0:0.2,0.35,30", "--goal", "0:-0.2,0.35,210")
 def saved(tmp_path_factory):
     """Return the file of the plan that is made without any argument."""
     path = tmp_path_factory.mktemp("cli") / "plan.json"
-    outcome = as_process("plan", "--out", path, cwd=path.parent)
-    assert outcome.code == 0, outcome
+    assert run(["plan", "--out", str(path)]) == 0
     return path
 
 
@@ -29,8 +30,8 @@ def test_plan_without_arguments_needs_a_regrasp(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_plan_as_json_is_one_object_with_the_keys_of_the_contract(tmp_path):
-    outcome = as_process("plan", "--json", cwd=tmp_path)
+def test_plan_as_json_is_one_object_with_the_keys_of_the_contract(capsys):
+    outcome = in_process(capsys, "plan", "--json")
     assert (outcome.code, outcome.err) == (0, "")
     assert list(outcome.data) == KEYS
     assert outcome.data["status"] == "solved" and outcome.data["num_regrasps"] >= 1

@@ -12,7 +12,7 @@ from regrasp_opt.conventions import planar_transform, translation
 from regrasp_opt.errors import PoseError
 
 PLACEMENTS = np.array([np.eye(4), translation(0.0, 0.01, 0.1), np.diag([1.0, -1.0, -1.0, 1.0])])
-STEADY = settings(deadline=None, derandomize=True, max_examples=200)
+STEADY = settings(deadline=None, derandomize=True, max_examples=100)
 numbers = st.floats(-10, 10)
 
 

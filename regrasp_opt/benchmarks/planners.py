@@ -1,0 +1,181 @@
+"""Every planner that is compared, behind one call: an instance in, one row out.
+
+Those of the package are recipes of `solve_sequence`. Two baselines come beside them: the discrete regrasp graph, which
+knows every grasp at every grid pose, and random poses that are checked as they come. All plans are proved by the same
+checker, and a row holds the same columns whoever made it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from regrasp_opt.benchmarks.instances import Instance
+from regrasp_opt.benchmarks.oracle import Oracle
+from regrasp_opt.benchmarks.runner import Row
+from regrasp_opt.benchmarks.subjects import resident
+from regrasp_opt.conventions import BoolArray, IntArray
+from regrasp_opt.planning import Recipe, RegraspPlan, RegraspProblem, solve_sequence
+from regrasp_opt.planning.recipes import RECIPES
+from regrasp_opt.solvers import LangevinRefiner, LatticeRefiner, NlpRefiner
+from regrasp_opt.solvers.program import ProgramOptions
+
+MAX_REGRASPS = 5
+"""``N_max`` of the paper."""
+
+PLANNERS: dict[str, Callable[[], Recipe]] = {
+    "ipopt from lattice": RECIPES["ipopt"],
+    "ipopt L-BFGS from lattice": lambda: Recipe(NlpRefiner(ProgramOptions(hessian="limited-memory"))),
+    "sqpmethod from lattice": lambda: Recipe(NlpRefiner(ProgramOptions(plugin="sqpmethod"))),
+    "ipopt from Langevin": RECIPES["langevin-ipopt"],
+    "ipopt L-BFGS from Langevin": lambda: Recipe(
+        NlpRefiner(ProgramOptions(hessian="limited-memory")), starts="langevin", fallback=0
+    ),
+    "Langevin from lattice": lambda: Recipe(LangevinRefiner(anneal=True), batches=(50,), proved=50, fallback=0),
+    "Langevin": RECIPES["langevin"],
+    "lattice": RECIPES["lattice"],
+    "random poses": lambda: Recipe(LatticeRefiner(), starts="random", batches=(1000,), proved=1000, fallback=0),
+}
+"""Recipes by the name under which they are reported."""
+
+
+def plan_row(
+    problem: RegraspProblem,
+    instance: Instance,
+    recipe: str | Recipe,
+    seed: int,
+    time_limit: float | None,
+    warm: bool = True,
+) -> list[Row]:
+    """Plan `instance` and return the one row about it.
+
+    Parameters
+    ----------
+    recipe : str or Recipe
+        A name in `PLANNERS`, or a recipe.
+    warm : bool
+        Plan a first time without counting it, so that the time is that of a planner in use: lattice and solver
+        objects are made once a problem, not once a plan.
+    """
+    problem = resident(problem)
+    used = PLANNERS[recipe]() if isinstance(recipe, str) else recipe
+    if warm:
+        _warm_up(problem, instance, used)
+    plan = solve_sequence(
+        problem, instance.start, instance.goal, used, max_regrasps=MAX_REGRASPS, seed=seed, time_limit=time_limit
+    )
+    return [{**outcome(plan, instance), **effort(plan)}]
+
+
+_warmed: set[Any] = set()
+
+
+def _warm_up(problem: RegraspProblem, instance: Instance, recipe: Recipe) -> None:
+    key = (id(problem), recipe)
+    if key in _warmed:
+        return
+    if recipe.starts == "lattice":
+        _ = problem.lattice
+    solve_sequence(problem, instance.start, instance.goal, recipe, max_regrasps=1)
+    _warmed.add(key)
+
+
+def outcome(plan: RegraspPlan, instance: Instance) -> Row:
+    """Return what became of `instance`: status, N against the oracle's, cost, bottleneck and clearance."""
+    solved = plan.solved
+    return {
+        "tier": instance.tier,
+        "minimum": instance.minimum,
+        "status": plan.status.name.lower(),
+        "solved": solved,
+        "num_regrasps": plan.num_regrasps if solved else None,
+        "cost": plan.cost if solved else None,
+        "bottleneck": min(len(t.grasp_ids) for t in plan.transitions) if solved else None,
+        "clearance_mm": 1e3 * min(float(t.clearance.max()) for t in plan.transitions) if solved else None,
+    }
+
+
+def effort(plan: RegraspPlan) -> Row:
+    """Return what the plan took: time to the first proof, iterations, solves, and how many of these converged."""
+    stats = plan.refiner_stats
+    first = plan.timings["total"] - plan.timings.get("transitions", 0.0)
+    return {
+        "seconds": round(plan.timings["total"], 4),
+        "first_proof": round(first, 4) if plan.solved else None,
+        "iterations": int(sum(np.sum(entry.get("iterations", 0)) for entry in stats)),
+        "solves": sum(int(entry.get("solves", 0)) for entry in stats),
+        "converged": sum(int(entry.get("converged", 0)) for entry in stats),
+        "threshold_passed": any(entry.get("threshold_passed", 0) > 0 for entry in stats),
+    }
+
+
+def graph_row(problem: RegraspProblem, oracle: Oracle, instance: Instance) -> list[Row]:
+    """Plan `instance` on the discrete regrasp graph of `oracle` and return the one row about it.
+
+    Nodes are the grid poses, the start and the goal; two are joined if they share a grasp. The path with the fewest
+    poses is found by breadth-first search over (pose, grasp) incidences, so the quadratic number of edges is never
+    formed. The seconds leave out the grid itself, which is reported apart.
+    """
+    problem = resident(problem)
+    began = time.perf_counter()
+    start, goal = (problem.feasible_grasps(T) for T in (instance.start, instance.goal))
+    path = fewest_poses(oracle.feasible, start, goal)
+    seconds = time.perf_counter() - began
+    row: Row = {
+        "tier": instance.tier,
+        "minimum": instance.minimum,
+        "status": "not_found" if path is None else "solved",
+        "solved": path is not None,
+        "num_regrasps": None if path is None else len(path),
+        "seconds": round(seconds, 4),
+        "first_proof": None if path is None else round(seconds, 4),
+        "grid_seconds": oracle.seconds,
+    }
+    if path is not None:
+        chain = [start, *oracle.feasible[path], goal]
+        row["bottleneck"] = min(int((a & b).sum()) for a, b in zip(chain[:-1], chain[1:], strict=True))
+    return [row]
+
+
+def fewest_poses(feasible: BoolArray, start: BoolArray, goal: BoolArray) -> IntArray | None:
+    """Return the poses of a shortest path on the regrasp graph, or None if there is none.
+
+    Parameters
+    ----------
+    feasible : (L, G)
+        Exact feasibility at the grid poses.
+    start, goal : (G,)
+        Exact feasibility at the ends.
+
+    Returns
+    -------
+    (N,) int
+        Numbers of the grid poses; empty if the ends share a grasp.
+    """
+    if (start & goal).any():
+        return np.zeros(0, dtype=np.int64)
+    rows = np.vstack([feasible, start, goal])
+    incidence = csr_array(rows.astype(np.float64))
+    poses, grasps = incidence.shape
+    empty_poses, empty_grasps = csr_array((poses, poses)), csr_array((grasps, grasps))
+    graph = _blocks(empty_poses, incidence, empty_grasps)
+    first, last = poses - 2, poses - 1
+    distance, before = dijkstra(graph, directed=False, indices=first, unweighted=True, return_predecessors=True)
+    if not np.isfinite(distance[last]):
+        return None
+    path = [last]
+    while path[-1] != first:
+        path.append(int(before[path[-1]]))
+    inner = [node for node in reversed(path) if node < first]
+    return np.array(inner, dtype=np.int64)
+
+
+def _blocks(upper: Any, side: Any, lower: Any) -> Any:
+    from scipy.sparse import block_array
+
+    return block_array([[upper, side], [side.T, lower]], format="csr")
