@@ -102,8 +102,7 @@ class Oracle:
 
     def one_step(self, start: BoolArray, goal: BoolArray) -> BoolArray:
         """Return the grid poses (L,) that share a grasp with both ends."""
-        both: BoolArray = (self.feasible & start).any(axis=1) & (self.feasible & goal).any(axis=1)
-        return both
+        return np.asarray((self.feasible & start).any(axis=1) & (self.feasible & goal).any(axis=1))
 
 
 def grid_poses(num_placements: int, bounds: FloatArray, resolution: Resolution) -> tuple[IntArray, FloatArray]:

@@ -7,16 +7,17 @@ checker, and a row holds the same columns whoever made it.
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import block_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from regrasp_opt.benchmarks.instances import Instance
-from regrasp_opt.benchmarks.oracle import Oracle
+from regrasp_opt.benchmarks.oracle import Resolution, build_oracle
 from regrasp_opt.benchmarks.runner import Row
 from regrasp_opt.benchmarks.subjects import resident
 from regrasp_opt.conventions import BoolArray, IntArray
@@ -114,14 +115,24 @@ def effort(plan: RegraspPlan) -> Row:
     }
 
 
-def graph_row(problem: RegraspProblem, oracle: Oracle, instance: Instance) -> list[Row]:
-    """Plan `instance` on the discrete regrasp graph of `oracle` and return the one row about it.
+def graph_row(
+    problem: RegraspProblem, whole: RegraspProblem, ids: IntArray, resolution: Resolution, instance: Instance
+) -> list[Row]:
+    """Plan `instance` on the discrete regrasp graph and return the one row about it.
 
+    Parameters
+    ----------
+    problem : RegraspProblem
+        With the grasps `ids` of `whole`, whose exact grid has been computed before.
+
+    Notes
+    -----
     Nodes are the grid poses, the start and the goal; two are joined if they share a grasp. The path with the fewest
     poses is found by breadth-first search over (pose, grasp) incidences, so the quadratic number of edges is never
     formed. The seconds leave out the grid itself, which is reported apart.
     """
     problem = resident(problem)
+    oracle = build_oracle(resident(whole), resolution, jobs=1).with_grasps(ids)
     began = time.perf_counter()
     start, goal = (problem.feasible_grasps(T) for T in (instance.start, instance.goal))
     path = fewest_poses(oracle.feasible, start, goal)
@@ -138,7 +149,7 @@ def graph_row(problem: RegraspProblem, oracle: Oracle, instance: Instance) -> li
     }
     if path is not None:
         chain = [start, *oracle.feasible[path], goal]
-        row["bottleneck"] = min(int((a & b).sum()) for a, b in zip(chain[:-1], chain[1:], strict=True))
+        row["bottleneck"] = min(int((a & b).sum()) for a, b in itertools.pairwise(chain))
     return [row]
 
 
@@ -162,8 +173,8 @@ def fewest_poses(feasible: BoolArray, start: BoolArray, goal: BoolArray) -> IntA
     rows = np.vstack([feasible, start, goal])
     incidence = csr_array(rows.astype(np.float64))
     poses, grasps = incidence.shape
-    empty_poses, empty_grasps = csr_array((poses, poses)), csr_array((grasps, grasps))
-    graph = _blocks(empty_poses, incidence, empty_grasps)
+    nothing = csr_array((poses, poses)), csr_array((grasps, grasps))
+    graph = block_array([[nothing[0], incidence], [incidence.T, nothing[1]]], format="csr")
     first, last = poses - 2, poses - 1
     distance, before = dijkstra(graph, directed=False, indices=first, unweighted=True, return_predecessors=True)
     if not np.isfinite(distance[last]):
@@ -173,9 +184,3 @@ def fewest_poses(feasible: BoolArray, start: BoolArray, goal: BoolArray) -> IntA
         path.append(int(before[path[-1]]))
     inner = [node for node in reversed(path) if node < first]
     return np.array(inner, dtype=np.int64)
-
-
-def _blocks(upper: Any, side: Any, lower: Any) -> Any:
-    from scipy.sparse import block_array
-
-    return block_array([[upper, side], [side.T, lower]], format="csr")

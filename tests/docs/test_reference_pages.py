@@ -16,7 +16,7 @@ from regrasp_opt.workcell import schema
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
-COMMANDS = typer.main.get_command(app).commands
+COMMANDS = vars(typer.main.get_command(app))["commands"]
 
 
 def read(page: str) -> str:

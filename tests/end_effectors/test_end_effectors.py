@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from regrasp_opt.end_effectors import END_EFFECTOR_NAMES, EndEffector, load_end_effector
 from regrasp_opt.errors import UnknownNameError, WorkcellError
-from regrasp_opt.shapes import Box, Cylinder, bounding_points
+from regrasp_opt.shapes import Box, Cylinder, surface_points
 
 PARALLEL = ("w", "r140", "r85")
 SUCTION = ("s1", "s2", "s3")
@@ -34,7 +34,7 @@ box = { x = [-0.01, 0.01], y = [0.0, 0.01], z = [0.08, 0.17] }
 
 
 def extent(boxes: tuple[Box, ...]) -> tuple[np.ndarray, np.ndarray]:
-    points = np.concatenate([bounding_points(box) for box in boxes])
+    points = np.concatenate([surface_points(box) for box in boxes])
     return points.min(axis=0), points.max(axis=0)
 
 
@@ -45,7 +45,7 @@ def test_parallel_grippers_fill_their_stated_envelope(name: str) -> None:
     assert (gripper.tcp_offset, gripper.max_opening, gripper.pre_opening) == (tcp, stroke, 0.005)
     low, high = extent(gripper.finger_boxes(stroke))
     np.testing.assert_allclose([low[1], high[1], high[2]], [-outer, outer, tip], atol=1e-12)
-    assert low[2] == pytest.approx(max(bounding_points(body)[:, 2].max() for body in gripper.body))
+    assert low[2] == pytest.approx(max(surface_points(body)[:, 2].max() for body in gripper.body))
 
 
 @pytest.mark.parametrize(("name", "tcp", "radius"), [("s1", 0.05, 0.015), ("s2", 0.046, 0.0125), ("s3", 0.03, 0.01)])
@@ -54,8 +54,8 @@ def test_suction_cup_ends_one_lip_short_of_the_tcp(name: str, tcp: float, radius
     assert (cup.tcp_offset, cup.cup_radius, cup.max_opening, cup.pre_opening) == (tcp, radius, 0.0, 0.0)
     mount, lip = cup.body
     assert isinstance(lip, Cylinder) and lip.radius == radius
-    assert bounding_points(lip)[:, 2].max() == pytest.approx(tcp - 0.002)
-    assert bounding_points(lip)[:, 2].min() == pytest.approx(bounding_points(mount)[:, 2].max())
+    assert surface_points(lip)[:, 2].max() == pytest.approx(tcp - 0.002)
+    assert surface_points(lip)[:, 2].min() == pytest.approx(surface_points(mount)[:, 2].max())
     assert cup.finger == () and cup.finger_boxes(0.0) == ()
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -54,14 +55,15 @@ def test_corrupt_files_are_refused(tmp_path: Path, damage: str) -> None:
         with path.open("wb") as file:
             np.save(file, width)
     else:
-        arrays = {"T_object_tcp": T, "width": width, "kind": np.array("parallel")}
-        replaced = {
+        arrays: dict[str, Any] = {"T_object_tcp": T, "width": width, "kind": np.array("parallel")}
+        damages: dict[str, dict[str, Any]] = {
             "keys": {"width": None},
             "pickle": {"width": np.array([{}] * 5, dtype=object)},
             "kind": {"kind": np.array("magnet")},
             "text": {"width": np.array(["a"] * 5)},
-        }[damage]
-        np.savez(path, **{key: value for key, value in {**arrays, **replaced}.items() if value is not None})
+        }
+        kept = {key: value for key, value in {**arrays, **damages[damage]}.items() if value is not None}
+        np.savez(path, **kept)
     with pytest.raises(GraspError) as caught:
         GraspSet.load(path)
     assert "\n" not in str(caught.value)

@@ -6,15 +6,16 @@ and where they stand while approaching.
 """
 
 import math
+import sys
 import xml.etree.ElementTree as ET
 from importlib.resources import files
 
 import coal
 import numpy as np
 
-try:
+if sys.version_info >= (3, 11):
     import tomllib
-except ImportError:
+else:
     import tomli as tomllib
 
 DATA = files("regrasp_opt") / "data"

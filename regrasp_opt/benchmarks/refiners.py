@@ -1,0 +1,191 @@
+"""The refiner comparison: every planner on the same instances, with the same grasps and the same checker."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from statistics import median
+
+import plotly.graph_objects as go
+
+from regrasp_opt.benchmarks.hard_tiers import Condition, hard_instances
+from regrasp_opt.benchmarks.instances import Instance, choose_instances, instances_hash
+from regrasp_opt.benchmarks.planners import PLANNERS, graph_row, plan_row
+from regrasp_opt.benchmarks.report import Cell, Figure, Report, Table, mean, percent
+from regrasp_opt.benchmarks.runner import Item, Row
+from regrasp_opt.benchmarks.session import Session, error_rows, usable
+from regrasp_opt.benchmarks.subjects import planning_key
+from regrasp_opt.conventions import IntArray
+from regrasp_opt.files import content_hash
+from regrasp_opt.planning import RegraspProblem
+
+TEXT = (
+    "Every planner on the same start-goal pairs: pairs with all grasps that need a regrasp, and pairs of the hard tiers "
+    "that the oracle solves. All plans are proved by the same exact checker; the time ends with the proof. The regrasp "
+    "graph is the discrete baseline: exact feasibility on the grid, then a shortest path."
+)
+GRAPH = "regrasp graph"
+PAIRS = {True: 2, False: 20}
+"""Pairs an object with all grasps, in quick and in full runs."""
+HARD = {True: {"2": 1, "3+": 1}, False: {"2": 10, "3+": 10}}
+"""Pairs of the hard tiers an object, in quick and in full runs."""
+TIME_LIMIT = {True: 20.0, False: 60.0}
+"""Seconds after which a planner gives up."""
+
+
+def run_refiners(session: Session) -> Report:
+    """Measure success, quality and time of every planner."""
+    subjects = session.subjects()
+    items: list[Item] = []
+    hashes: dict[str, str] = {}
+    for name, problem in usable(subjects):
+        pairs = _instances(session, name, problem)
+        hashes[name] = instances_hash([instance for _, instance in pairs])
+        for condition, instance in pairs:
+            items += _items(session, name, condition, instance)
+    results = session.execute("refiners", items)
+    rows = results.rows + error_rows(subjects)
+    return Report(
+        "refiners",
+        "Refiners and baselines",
+        TEXT,
+        (_success_table(rows), _quality_table(rows)),
+        rows,
+        (Figure("Share of pairs with a proved plan over time", _figure(rows)),),
+        hashes,
+        results.revisions,
+        {
+            "quick": session.quick,
+            "seed": session.seed,
+            "oracle": str(session.grid),
+            "time limit [s]": TIME_LIMIT[session.quick],
+        },
+    )
+
+
+def _instances(session: Session, name: str, problem: RegraspProblem) -> list[tuple[Condition, Instance]]:
+    oracle = session.oracle(name, problem)
+    easy = choose_instances(session.pool(problem), oracle, {"any": PAIRS[session.quick]}, session.rng(40), name)
+    every = Condition("all grasps", problem, _all(problem))
+    pairs = [(every, instance) for instance in easy]
+    hard = hard_instances(session, name, problem)
+    for tier, count in HARD[session.quick].items():
+        pairs += [pair for pair in hard if pair[1].tier == tier][:count]
+    return pairs
+
+
+def _all(problem: RegraspProblem) -> IntArray:
+    import numpy as np
+
+    return np.arange(len(problem.grasps))
+
+
+def _items(session: Session, name: str, condition: Condition, instance: Instance) -> list[Item]:
+    reduced, limit = condition.reduced, TIME_LIMIT[session.quick]
+    depends = content_hash(planning_key(reduced), instances_hash([instance]), session.seed, limit, str(session.grid))
+    bare, whole = replace(reduced), replace(condition.problem)
+    columns: Row = {"object": name, "pair": instance.name, "condition": condition.label}
+    graph = Item(
+        f"{instance.name}/{GRAPH}",
+        depends,
+        graph_row,
+        (bare, whole, condition.ids, session.grid, instance),
+        {**columns, "planner": GRAPH},
+    )
+    return [graph] + [
+        Item(
+            f"{instance.name}/{planner}",
+            depends,
+            plan_row,
+            (bare, instance, planner, session.seed, limit),
+            {**columns, "planner": planner},
+        )
+        for planner in PLANNERS
+    ]
+
+
+def _by_planner(rows: list[Row]) -> dict[str, list[Row]]:
+    measured = [row for row in rows if "solved" in row]
+    names = (GRAPH, *PLANNERS)
+    return {name: [row for row in measured if row["planner"] == name] for name in names}
+
+
+def _success_table(rows: list[Row]) -> Table:
+    lines: list[tuple[Cell, ...]] = []
+    for planner, here in _by_planner(rows).items():
+        solvable = [row for row in here if row["minimum"] is not None]
+        good = [row for row in solvable if row["solved"]]
+        tiers = [[row["solved"] for row in solvable if row["tier"] == tier] for tier in ("1", "2", "3+")]
+        times = sorted(row["first_proof"] for row in here if row["solved"])
+        lines.append(
+            (
+                planner,
+                len(here),
+                percent([row["solved"] for row in solvable]),
+                *(percent(tier) for tier in tiers),
+                percent([row["num_regrasps"] <= row["minimum"] for row in good]),
+                round(median(times), 3) if times else None,
+                round(times[int(0.9 * (len(times) - 1))], 3) if times else None,
+                mean([row["seconds"] for row in here], 3),
+                _precomputation(here),
+            )
+        )
+    return Table(
+        "Success and time to the first proved plan",
+        ("planner", "pairs", "proved [%]", "N=1", "N=2", "N>=3", "N no more than oracle [%]", "median [s]",
+         "90 % [s]", "mean, all [s]", "before [CPU s]"),
+        tuple(lines),
+        "Proved: of the pairs that the oracle solves. Mean, all: time spent on every pair, solved or not. Before: what is "
+        "computed once for an object and workcell; for the graph the exact grid, mean over the pairs.",
+    )  # fmt: skip
+
+
+def _precomputation(here: list[Row]) -> float | None:
+    return mean([row["grid_seconds"] for row in here if "grid_seconds" in row], 1)
+
+
+def _quality_table(rows: list[Row]) -> Table:
+    by_planner = _by_planner(rows)
+    solved_by_all = set.intersection(
+        *({row["pair"] for row in here if row["solved"]} for planner, here in by_planner.items() if planner != GRAPH)
+    )
+    lines: list[tuple[Cell, ...]] = []
+    for planner, here in by_planner.items():
+        good = [row for row in here if row["solved"] and row["pair"] in solved_by_all]
+        solves = sum(row.get("solves", 0) for row in here)
+        lines.append(
+            (
+                planner,
+                len(good),
+                mean([row["num_regrasps"] for row in good]),
+                mean([row["cost"] for row in good if row.get("cost") is not None]),
+                mean([row["bottleneck"] for row in good], 1),
+                mean([row["clearance_mm"] for row in good if row.get("clearance_mm") is not None], 1),
+                mean([row["iterations"] for row in good if "iterations" in row], 1),
+                percent([1.0] * sum(row.get("converged", 0) for row in here) + [0.0] * _unconverged(here))
+                if solves
+                else None,
+            )
+        )
+    return Table(
+        "Plans for the pairs that every refiner solved",
+        ("planner", "pairs", "N", "J_seq", "bottleneck [grasps]", "clearance [mm]", "iterations", "converged [%]"),
+        tuple(lines),
+        "Bottleneck: fewest shared grasps of a transition. Clearance: of the clearest grasp of the tightest transition. "
+        "Converged: share of all nonlinear solves.",
+    )
+
+
+def _unconverged(here: list[Row]) -> int:
+    return sum(row.get("solves", 0) - row.get("converged", 0) for row in here)
+
+
+def _figure(rows: list[Row]) -> go.Figure:
+    figure = go.Figure()
+    for planner, here in _by_planner(rows).items():
+        times = sorted(row["first_proof"] for row in here if row["solved"])
+        share = [100 * (i + 1) / len(here) for i in range(len(times))]
+        figure.add_trace(go.Scatter(x=times, y=share, mode="lines", line={"shape": "hv"}, name=planner))
+    figure.update_xaxes(type="log", title_text="seconds")
+    figure.update_yaxes(title_text="pairs with a proved plan [%]", range=[0, 101])
+    figure.update_layout(height=420, margin={"l": 60, "r": 10, "t": 10, "b": 50})
+    return figure
