@@ -15,10 +15,10 @@ CAMERA = np.array([0.35, 0.50])
 WEIGHTS = (0.0, 1.0, 5.0, 10.0, 100.0)
 
 
-def pulled(plan: RegraspPlan, start, goal, weight: float) -> np.ndarray:
-    """Return planar parameters (N, 3) that trade `J_seq` for nearness to the camera's place."""
+def pulled(plan: RegraspPlan, guess: np.ndarray, weight: float) -> np.ndarray:
+    """Return planar parameters (N, 3) near `guess` that trade `J_seq` for nearness to the camera's place."""
     problem = plan.problem
-    ends = [exact_energy(problem.feasible_grasps(T)) for T in (start, goal)]
+    ends = [exact_energy(problem.feasible_grasps(T)) for T in plan.poses[[0, -1]]]
     functions = problem.energy.casadi_functions(start=ends[0], goal=ends[1], placements=plan.placements)
     opti = ca.Opti()
     xi = opti.variable(3, plan.num_regrasps)
@@ -27,7 +27,7 @@ def pulled(plan: RegraspPlan, start, goal, weight: float) -> np.ndarray:
     low, high = problem.workcell.bounds.array
     for i in range(plan.num_regrasps):
         opti.subject_to(opti.bounded(low, xi[:2, i], high))
-    opti.set_initial(xi, plan.xi.T)
+    opti.set_initial(xi, guess.T)
     opti.solver("ipopt", {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes"}})
     return np.reshape(opti.solve().value(xi), (3, -1), order="F").T
 
@@ -38,8 +38,9 @@ def main() -> None:
     plan = solve_sequence(problem, start, goal)
     print(f"the plan alone puts the bottle down at {plan.xi[0, :2].round(3)}\n")
     print(f"{'weight':>7}{'x [m]':>9}{'y [m]':>9}{'away [m]':>10}   shared grasps of each move")
+    xi = plan.xi
     for weight in WEIGHTS:
-        xi = pulled(plan, start, goal, weight)
+        xi = pulled(plan, xi, weight)  # from the last solution: small steps keep to one valley
         middle = [problem.pose(m, *p) for m, p in zip(plan.placements, xi, strict=True)]
         feasible = np.array([problem.feasible_grasps(T) for T in (start, *middle, goal)])
         shared = (feasible[:-1] & feasible[1:]).sum(axis=1)

@@ -25,8 +25,8 @@ from regrasp_opt.shapes import Box
 from regrasp_opt.workcell import Bounds, Workcell
 
 TEXT = (
-    "Instances by the fewest regrasps on the exact grid, from subsets of the grasps, a table with obstacles and a narrow "
-    "workspace. 'unsolvable' means at the resolution of the grid: a continuous planner may still find a plan."
+    "Instances by the fewest regrasps on the exact grid, from subsets of the grasps, a table with obstacles and a "
+    "narrow workspace. 'unsolvable' means at the resolution of the grid: a continuous planner may still find a plan."
 )
 TIME_LIMIT = 120.0
 """Seconds after which the planner gives up."""
@@ -177,8 +177,8 @@ def _table(rows: list[Row]) -> Table:
         "Success by the oracle's fewest regrasps",
         ("object", "oracle N", "pairs", "proved [%]", "N as oracle [%]", "N below it [%]", "solved [s]", "gave up [s]"),
         tuple(lines),
-        "Plans of the tier 'unsolvable', and plans with fewer regrasps, are what the continuous planner finds between "
-        "the poses of the grid. Shares of N are of the proved plans; times are means.",
+        "Plans of the tier 'unsolvable', and plans with fewer regrasps, are what the continuous planner finds between"
+        " the poses of the grid. Shares of N are of the proved plans; times are means.",
     )
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from regrasp_opt.benchmarks.oracle import Oracle
-from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, planar_transform
+from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, invert, planar_transform
 from regrasp_opt.errors import PoseError
 from regrasp_opt.feasibility.dataset import random_poses
 from regrasp_opt.files import content_hash
@@ -84,18 +84,19 @@ def _can_rest(problem: RegraspProblem, T: FloatArray) -> bool:
 def choose_instances(
     pool: PosePool, oracle: Oracle, wanted: dict[str, int], rng: np.random.Generator, prefix: str
 ) -> list[Instance]:
-    """Return random pairs of pool poses without a shared grasp, up to ``wanted[tier]`` of each tier.
+    """Return random pairs of pool poses, up to ``wanted[tier]`` of each tier.
 
     Parameters
     ----------
     wanted : dict
-        Number of pairs by tier; the tier ``any`` draws from all pairs that need a regrasp.
+        Number of pairs by tier; ``any`` draws from all pairs that need a regrasp, ``0`` from those that do not.
     prefix : str
         Beginning of the instances' names.
     """
     table = oracle.minimum_table(pool.feasible)
     off_diagonal = ~np.eye(len(table), dtype=bool)
     masks = {
+        "0": table == 0,
         "any": table >= 1,
         "1": table == 1,
         "2": table == 2,
@@ -114,3 +115,15 @@ def choose_instances(
 def instances_hash(instances: Sequence[Instance]) -> str:
     """Return the hash that freezes `instances`: their names, poses and oracle minima."""
     return content_hash("instances-1", *[[i.name, i.start, i.goal, i.minimum] for i in instances])[:16]
+
+
+def planar_parameters(T: FloatArray, placements: FloatArray) -> tuple[int, FloatArray]:
+    """Return the placement number and planar parameters (3,) [m, m, rad] of a resting pose `T` (4, 4) (Eq. 6).
+
+    The placement is the one of `placements` (S, 4, 4) from which `T` differs least by more than a planar motion.
+    """
+    motion = T @ invert(placements)
+    tilt = 1.0 - motion[:, 2, 2] + np.abs(motion[:, 2, 3])
+    number = int(tilt.argmin())
+    planar = motion[number]
+    return number, np.array([planar[0, 3], planar[1, 3], np.arctan2(planar[1, 0], planar[0, 0])])

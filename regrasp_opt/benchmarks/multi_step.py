@@ -20,8 +20,8 @@ from regrasp_opt.solvers import LangevinRefiner, NlpRefiner
 
 TEXT = (
     "Start-goal pairs without a shared grasp. S.T. is the share of pairs for which a sequence passes the energy "
-    "threshold h (Algorithms 1 and 2), S.H. the share whose sequence also passes the exact check. The oracle's fewest "
-    "regrasps come from exact feasibility on a grid."
+    "threshold h (Algorithms 1 and 2), S.H. the share whose sequence also passes the exact check. The oracle's fewest"
+    " regrasps come from exact feasibility on a grid."
 )
 PAIRS = {True: 8, False: 50}
 """Pairs an object, in quick and in full runs."""
@@ -154,7 +154,8 @@ def _oracle_table(rows: list[Row], names: list[str]) -> Table:
             "beyond it",
         ),
         tuple(lines),
-        "N as the oracle, and N no more: shares of the proved plans. Beyond it: pairs proved where the grid has no plan.",
+        "N as the oracle, and N no more: shares of the proved plans. Beyond it: pairs proved where the grid has no "
+        "plan.",
     )
 
 

@@ -19,9 +19,9 @@ from regrasp_opt.files import content_hash
 from regrasp_opt.planning import RegraspProblem
 
 TEXT = (
-    "Every planner on the same start-goal pairs: pairs with all grasps that need a regrasp, and pairs of the hard tiers "
-    "that the oracle solves. All plans are proved by the same exact checker; the time ends with the proof. The regrasp "
-    "graph is the discrete baseline: exact feasibility on the grid, then a shortest path."
+    "Every planner on the same start-goal pairs: pairs with all grasps that need a regrasp, and pairs of the hard "
+    "tiers that the oracle solves. All plans are proved by the same exact checker; the time ends with the proof. The "
+    "regrasp graph is the discrete baseline: exact feasibility on the grid, then a shortest path."
 )
 GRAPH = "regrasp graph"
 PAIRS = {True: 2, False: 20}
@@ -134,8 +134,8 @@ def _success_table(rows: list[Row]) -> Table:
         ("planner", "pairs", "proved [%]", "N=1", "N=2", "N>=3", "N no more than oracle [%]", "median [s]",
          "90 % [s]", "mean, all [s]", "before [CPU s]"),
         tuple(lines),
-        "Proved: of the pairs that the oracle solves. Mean, all: time spent on every pair, solved or not. Before: what is "
-        "computed once for an object and workcell; for the graph the exact grid, mean over the pairs.",
+        "Proved: of the pairs that the oracle solves. Mean, all: time spent on every pair, solved or not. Before: "
+        "what is computed once for an object and workcell; for the graph the exact grid, mean over the pairs.",
     )  # fmt: skip
 
 
@@ -170,8 +170,8 @@ def _quality_table(rows: list[Row]) -> Table:
         "Plans for the pairs that every refiner solved",
         ("planner", "pairs", "N", "J_seq", "bottleneck [grasps]", "clearance [mm]", "iterations", "converged [%]"),
         tuple(lines),
-        "Bottleneck: fewest shared grasps of a transition. Clearance: of the clearest grasp of the tightest transition. "
-        "Converged: share of all nonlinear solves.",
+        "Bottleneck: fewest shared grasps of a transition. Clearance: of the clearest grasp of the tightest "
+        "transition. Converged: share of all nonlinear solves.",
     )
 
 

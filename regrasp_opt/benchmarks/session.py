@@ -7,15 +7,23 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from rich.progress import TaskID
 
 from regrasp_opt.benchmarks.instances import PosePool
 from regrasp_opt.benchmarks.oracle import Oracle, Resolution, build_oracle
 from regrasp_opt.benchmarks.runner import Item, Results, Row, progress_bar, run_items
-from regrasp_opt.benchmarks.subjects import DEFAULT_WORKCELL, Subject, load_subjects, prepared_problem
+from regrasp_opt.benchmarks.subjects import (
+    DEFAULT_WORKCELL,
+    Subject,
+    load_bodies,
+    load_subjects,
+    prepared_problem,
+)
+from regrasp_opt.errors import RegraspError
+from regrasp_opt.objects import ObjectModel
 from regrasp_opt.objects.builtin import OBJECT_NAMES
 from regrasp_opt.planning import RegraspProblem
-from regrasp_opt.planning.prepare import Progress
-from regrasp_opt.workcell import Workcell
+from regrasp_opt.workcell import Workcell, load_workcell
 
 QUICK_GRID = Resolution(0.06, 12)
 """The oracle of quick runs."""
@@ -58,20 +66,25 @@ class Session:
         """Resolution of the oracle."""
         return QUICK_GRID if self.quick else FULL_GRID
 
-    def subjects(self, workcell: str | Workcell = DEFAULT_WORKCELL) -> list[Subject]:
-        """Return everything that is evaluated in `workcell`, with prepared models."""
+    def bodies(self) -> tuple[dict[str, ObjectModel], list[Row]]:
+        """Return the objects by name, and one row for each mesh that is none, with the reason."""
+        found = load_bodies(self.objects, self.names)
+        good = {name: body for name, body in found.items() if not isinstance(body, RegraspError)}
+        bad: list[Row] = [{"object": n, "error": str(e)} for n, e in found.items() if isinstance(e, RegraspError)]
+        return good, bad
+
+    def subjects(self) -> list[Subject]:
+        """Return everything that is evaluated in the default workcell, with prepared models."""
         with progress_bar(self.quiet) as bar:
-            tasks: dict[str, int] = {}
+            tasks: dict[str, TaskID] = {}
 
             def show(what: str, done: int, total: int) -> None:
                 if what not in tasks:
-                    tasks[what] = int(bar.add_task(what, total=total))
-                bar.update(tasks[what], completed=done, total=total)  # type: ignore[arg-type]
+                    tasks[what] = bar.add_task(what, total=total)
+                bar.update(tasks[what], completed=done, total=total)
 
-            return self._load(workcell, show)
-
-    def _load(self, workcell: str | Workcell, progress: Progress) -> list[Subject]:
-        return load_subjects(self.objects, names=self.names, workcell=workcell, jobs=self.jobs, progress=progress)
+            bodies, cell = load_bodies(self.objects, self.names), load_workcell(DEFAULT_WORKCELL)
+            return load_subjects(bodies, cell, jobs=self.jobs, progress=show)
 
     def prepared(self, problem: RegraspProblem, cell: Workcell) -> RegraspProblem:
         """Return the object of `problem` in another workcell, with a model prepared for it."""

@@ -16,7 +16,7 @@ from regrasp_opt.objects.mesh import MESH_SUFFIXES
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.planning.model_store import find_model
 from regrasp_opt.planning.prepare import Progress, prepare
-from regrasp_opt.workcell import Workcell, load_workcell
+from regrasp_opt.workcell import Workcell
 
 DEFAULT_WORKCELL = "nova2-w"
 _RESIDENTS = 4
@@ -43,25 +43,35 @@ class Subject:
     error: str = ""
 
 
-def load_subjects(
-    folder: Path | None,
-    *,
-    names: tuple[str, ...] = OBJECT_NAMES,
-    workcell: str | Workcell = DEFAULT_WORKCELL,
-    jobs: int = -1,
-    progress: Progress | None = None,
-) -> list[Subject]:
-    """Return the built-in objects `names`, then every mesh of `folder` by name, each prepared for `workcell`.
+def load_bodies(folder: Path | None, names: tuple[str, ...] = OBJECT_NAMES) -> dict[str, ObjectModel | RegraspError]:
+    """Return the built-in objects `names`, then every mesh of `folder` by its file's name, or why it is no object.
 
     Raises
     ------
     OptionError
         If `folder` is given and is no folder or holds no mesh.
     """
-    cell = workcell if isinstance(workcell, Workcell) else load_workcell(workcell)
     sources: dict[str, str | Path] = {name: name for name in names}
     sources |= {path.name: path for path in mesh_files(folder)} if folder is not None else {}
-    return [_load(name, source, cell, jobs, progress) for name, source in sources.items()]
+    return {name: _body(source) for name, source in sources.items()}
+
+
+def _body(source: str | Path) -> ObjectModel | RegraspError:
+    try:
+        return load_object(source)
+    except RegraspError as error:
+        return error
+
+
+def load_subjects(
+    bodies: dict[str, ObjectModel | RegraspError],
+    cell: Workcell,
+    *,
+    jobs: int = -1,
+    progress: Progress | None = None,
+) -> list[Subject]:
+    """Return `bodies` as subjects, each with a model that was prepared for `cell`."""
+    return [_subject(name, body, cell, jobs, progress) for name, body in bodies.items()]
 
 
 def mesh_files(folder: Path) -> list[Path]:
@@ -80,9 +90,13 @@ def mesh_files(folder: Path) -> list[Path]:
     return found
 
 
-def _load(name: str, source: str | Path, cell: Workcell, jobs: int, progress: Progress | None) -> Subject:
+def _subject(
+    name: str, body: ObjectModel | RegraspError, cell: Workcell, jobs: int, progress: Progress | None
+) -> Subject:
+    if isinstance(body, RegraspError):
+        return Subject(name, None, str(body))
     try:
-        return Subject(name, prepared_problem(load_object(source), cell, jobs=jobs, progress=progress))
+        return Subject(name, prepared_problem(body, cell, jobs=jobs, progress=progress))
     except RegraspError as error:
         return Subject(name, None, str(error))
 

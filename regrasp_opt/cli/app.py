@@ -87,7 +87,7 @@ def plan(
         typer.Option(metavar="POSE", help="PLACEMENT:x,y,yaw_deg or a JSON file with a 4x4 matrix."),
     ] = None,
     goal: Annotated[str | None, typer.Option(metavar="POSE", help="As --start.")] = None,
-    refiner: Annotated[str, typer.Option(help="ipopt, langevin or lattice.")] = "ipopt",
+    refiner: Annotated[str, typer.Option(help="ipopt, lattice, langevin, langevin-ipopt or paper.")] = "ipopt",
     seed: SeedOption = 0,
     max_regrasps: Annotated[int, typer.Option(help="Largest number of intermediate poses.")] = 5,
     time_limit: Annotated[float | None, typer.Option(help="Seconds to search at most.")] = None,

@@ -109,6 +109,11 @@ class FeasibilityChecker:
             found.append(np.array(free).reshape(len(free), self.workcell.robot.dof))
         return found
 
+    def is_free(self, T: FloatArray, grasp_id: int, q: FloatArray) -> bool:
+        """Return whether the arm holds the grasp at configuration `q` (dof,) without collision."""
+        self._arrange(T, grasp_id)
+        return not self.scene.collides(q)
+
     def clearance(self, T: FloatArray, grasp_id: int, q: FloatArray) -> float:
         """Return the least distance of arm and gripper to table, obstacles and object [m]; negative on overlap."""
         self._arrange(T, grasp_id)

@@ -23,6 +23,7 @@ from regrasp_opt.planning.problem import RegraspProblem
 from regrasp_opt.planning.recipes import Recipe, as_recipe
 from regrasp_opt.planning.verification import PoseKnowledge, enumerate_transition, prove_sequence
 from regrasp_opt.solvers import Candidates, Refiner
+from regrasp_opt.threads import one_blas_thread
 
 MAX_REGRASPS = 8
 """Largest number of intermediate poses that can be asked for."""
@@ -78,17 +79,32 @@ def solve_sequence(
         raise OptionError(f"max_regrasps is {max_regrasps}; give a whole number from 0 to {MAX_REGRASPS}")
     if time_limit is not None and not time_limit > 0:
         raise OptionError(f"time_limit is {time_limit}; give a positive number of seconds")
-    clock = _Clock(time_limit)
+    with one_blas_thread():
+        return _solve(
+            problem, start, goal, recipe, int(max_regrasps), seed, _Clock(time_limit), options or CostOptions()
+        )
+
+
+def _solve(
+    problem: RegraspProblem,
+    start: Any,
+    goal: Any,
+    recipe: Recipe,
+    max_regrasps: int,
+    seed: int,
+    clock: _Clock,
+    options: CostOptions,
+) -> RegraspPlan:
     T_start = checked_end(start, "start", problem)
     T_goal = checked_end(goal, "goal", problem)
     with clock.timed("ends"):
         ends = [PoseKnowledge(problem.checker, T) for T in (T_start, T_goal)]
         feasible = [end.all() for end in ends]
-    search = _Search(problem, recipe, ends, options or CostOptions(), seed, clock)
+    search = _Search(problem, recipe, ends, options, seed, clock)
     for knowledge, status in zip(feasible, (Status.START_INFEASIBLE, Status.GOAL_INFEASIBLE), strict=True):
         if not knowledge.any():
             return search.result(status)
-    return search.run(int(max_regrasps))
+    return search.run(max_regrasps)
 
 
 @dataclass

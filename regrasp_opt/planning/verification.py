@@ -7,6 +7,9 @@ grasps enumerated, with the joint configurations to pick and place them.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
+
 import numpy as np
 
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
@@ -65,12 +68,16 @@ def prove_sequence(poses: list[PoseKnowledge], energies: FloatArray) -> bool:
 
 
 def enumerate_transition(checker: FeasibilityChecker, a: PoseKnowledge, b: PoseKnowledge) -> Transition:
-    """Return the transition between two poses with all shared grasps, their configurations and clearances."""
+    """Return the transition between two poses with all shared grasps, their configurations and clearances.
+
+    Of each grasp's collision-free branches at both poses, those are taken with the smallest largest joint move; whole
+    turns are added at the second pose where the joint limits allow it.
+    """
     ids = np.flatnonzero(a.all() & b.all())
+    ends = [_Branches(checker, pose.T, ids) for pose in (a, b)]
     picks, places, clearances = [], [], []
-    pairs = zip(ids.tolist(), checker.configurations(a.T, ids), checker.configurations(b.T, ids), strict=True)
-    for grasp_id, at_a, at_b in pairs:
-        q_pick, q_place = nearest_pair(checker, at_a, at_b)
+    for k, grasp_id in enumerate(ids.tolist()):
+        q_pick, q_place = _nearest_free_pair(ends[0].of(k), ends[1].of(k), checker)
         picks.append(q_pick)
         places.append(q_place)
         clearances.append(min(checker.clearance(a.T, grasp_id, q_pick), checker.clearance(b.T, grasp_id, q_place)))
@@ -83,12 +90,36 @@ def enumerate_transition(checker: FeasibilityChecker, a: PoseKnowledge, b: PoseK
     )
 
 
-def nearest_pair(checker: FeasibilityChecker, picks: FloatArray, places: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the pick (dof,) and place (dof,) configurations with the smallest largest joint move between them.
+class _Branches:
+    """All inverse-kinematics branches of some grasps at one pose; collision is tested when asked for, once."""
 
-    Places are also considered with whole turns added, where the joint limits allow it.
-    """
-    turned = np.concatenate([checker.workcell.robot.equivalents(q) for q in places])
-    move = np.abs(picks[:, None] - turned[None]).max(axis=2)
-    i, j = np.unravel_index(int(move.argmin()), move.shape)
-    return picks[i], turned[j]
+    def __init__(self, checker: FeasibilityChecker, T: FloatArray, grasp_ids: IntArray) -> None:
+        self._checker, self._T, self._ids = checker, T, grasp_ids
+        self._branches = checker.branches(np.broadcast_to(T, (len(grasp_ids), 4, 4)), grasp_ids)
+
+    def of(self, k: int) -> tuple[FloatArray, Callable[[int], bool]]:
+        """Return the branches (M, dof) of the k-th grasp and whether its m-th one is free of collision."""
+        q = self._branches.q[self._branches.pair == k]
+
+        @cache
+        def free(m: int) -> bool:
+            return self._checker.is_free(self._T, int(self._ids[k]), q[m])
+
+        return q, free
+
+
+def _nearest_free_pair(
+    pick: tuple[FloatArray, Callable[[int], bool]],
+    place: tuple[FloatArray, Callable[[int], bool]],
+    checker: FeasibilityChecker,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the free pick and place configurations (dof,) with the smallest largest joint move between them."""
+    turned = [checker.workcell.robot.equivalents(q) for q in place[0]]
+    branch = np.repeat(np.arange(len(turned)), [len(t) for t in turned])
+    targets = np.concatenate(turned)
+    move = np.abs(pick[0][:, None] - targets[None]).max(axis=2)
+    for index in np.argsort(move, axis=None, kind="stable").tolist():
+        i, j = divmod(index, len(targets))
+        if pick[1](i) and place[1](int(branch[j])):
+            return pick[0][i], targets[j]
+    raise AssertionError("a grasp that was proved feasible at both poses has no free pair of configurations")

@@ -1,0 +1,214 @@
+"""Ablations: what each choice of our energy and cost is worth, one change at a time from the default."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from statistics import median
+
+import numpy as np
+import plotly.graph_objects as go
+
+from regrasp_opt.benchmarks.generation import GENERATORS, OneStepTask, generate, verdicts
+from regrasp_opt.benchmarks.instances import Instance, choose_instances, instances_hash
+from regrasp_opt.benchmarks.models import TrainingRequest, trained_energies
+from regrasp_opt.benchmarks.report import Cell, Figure, Report, Table, mean, percent
+from regrasp_opt.benchmarks.runner import Item, Row, progress_bar
+from regrasp_opt.benchmarks.session import Session, error_rows, usable
+from regrasp_opt.benchmarks.subjects import problem_key, resident
+from regrasp_opt.connectivity import CostOptions
+from regrasp_opt.conventions import FloatArray
+from regrasp_opt.energy.model import EnergyModel, GraspEnergy
+from regrasp_opt.energy.training import PRESETS, TrainingOptions
+from regrasp_opt.files import content_hash
+from regrasp_opt.planning import RegraspProblem
+from regrasp_opt.solvers import NlpRefiner
+
+TEXT = (
+    "One change at a time from the default energy and cost. AP and shared F1 are on held-out poses; S.V. is of one-"
+    "step generation; the solver's figures are of the ten cheapest poses of each pair, refined by Ipopt."
+)
+K_TOP = (200, 10)
+PER_PLACEMENT = 200
+SOLVES = 10
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A change: of the training, of the share of the samples, of the cost, or of the number of grasps."""
+
+    training: TrainingOptions = field(default_factory=TrainingOptions)
+    samples: float = 1.0
+    cost: CostOptions = field(default_factory=CostOptions)
+    grasps: int | None = None
+
+
+_DEFAULT = TrainingOptions()
+VARIANTS: dict[str, Variant] = {
+    "default": Variant(),
+    "paper's preset": Variant(PRESETS["paper"]),
+    "features [T, g]": Variant(replace(_DEFAULT, features="paper")),
+    "SELU": Variant(replace(_DEFAULT, activation="selu")),
+    "tanh": Variant(replace(_DEFAULT, activation="tanh")),
+    "unbounded": Variant(replace(_DEFAULT, bounded=False)),
+    "no width": Variant(replace(_DEFAULT, use_width=False)),
+    "hidden 32": Variant(replace(_DEFAULT, hidden=32)),
+    "hidden 128": Variant(replace(_DEFAULT, hidden=128)),
+    "samples / 4": Variant(samples=0.25),
+    "samples / 2": Variant(samples=0.5),
+    "lambda_reg 0": Variant(cost=CostOptions(lambda_reg=0.0)),
+    "lambda_reg 2": Variant(cost=CostOptions(lambda_reg=2.0)),
+    "grasps 50": Variant(grasps=50),
+    "grasps 100": Variant(grasps=100),
+}
+
+
+def run_ablations(session: Session) -> Report:
+    """Measure every variant on every object; quick runs take the first object and fewer samples."""
+    subjects = session.subjects()
+    samples, count = (4_000, 3) if session.quick else (20_000, 10)
+    items: list[Item] = []
+    hashes: dict[str, str] = {}
+    for name, problem in usable(subjects)[: 1 if session.quick else None]:
+        oracle = session.oracle(name, problem)
+        pairs = choose_instances(session.pool(problem), oracle, {"1": count}, session.rng(70), name)
+        hashes[name] = instances_hash(pairs)
+        energies = _energies(session, problem, samples)
+        items += [_item(name, label, problem, energies[label], pairs, session.seed) for label in VARIANTS]
+    results = session.execute("ablations", items)
+    rows = results.rows + error_rows(subjects)
+    names = list(hashes)
+    return Report(
+        "ablations",
+        "Ablations",
+        TEXT,
+        tuple(_table(rows, name) for name in names),
+        rows,
+        tuple(Figure(f"Average precision: {name}", _figure(rows, name)) for name in names),
+        hashes,
+        results.revisions,
+        {"quick": session.quick, "seed": session.seed, "samples": samples, "oracle": str(session.grid)},
+    )
+
+
+def _energies(session: Session, problem: RegraspProblem, samples: int) -> dict[str, EnergyModel]:
+    requests = [
+        TrainingRequest(problem, replace(v.training, seed=session.seed), round(samples * v.samples), session.seed)
+        for v in VARIANTS.values()
+    ]
+    distinct = {request.path: request for request in requests}
+    with progress_bar(session.quiet) as bar:
+        task = bar.add_task("training", total=len(distinct))
+        trained = trained_energies(
+            list(distinct.values()),
+            jobs=session.jobs,
+            progress=lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    by_path = dict(zip(distinct, trained, strict=True))
+    return {label: by_path[request.path] for label, request in zip(VARIANTS, requests, strict=True)}
+
+
+def _item(
+    name: str, label: str, problem: RegraspProblem, energy: EnergyModel, pairs: list[Instance], seed: int
+) -> Item:
+    key = content_hash(problem_key(problem), energy.fingerprint(), instances_hash(pairs), seed, PER_PLACEMENT, SOLVES)
+    columns: Row = {"object": name, "variant": label}
+    return Item(f"{name}/{label}", key, measure_variant, (replace(problem), energy, label, pairs, seed), columns)
+
+
+def measure_variant(
+    problem: RegraspProblem, model: EnergyModel, label: str, pairs: list[Instance], seed: int
+) -> list[Row]:
+    """Return one row with the held-out figures of `model`, and one row for each pair."""
+    variant = VARIANTS[label]
+    problem = resident(_with_grasps(problem, variant.grasps))
+    energy = GraspEnergy(model, problem.grasps)
+    held_out = model.metadata["held_out"]
+    rows: list[Row] = [{"ap": held_out["average_precision"], "shared_f1": held_out["shared_f1"]}]
+    for number, instance in enumerate(pairs):
+        ends = np.stack([instance.start, instance.goal])
+        feasible = np.array([problem.feasible_grasps(T) for T in ends])
+        if not feasible.any(axis=1).all():
+            rows.append({"pair": instance.name, "skipped": "no grasp of this set is feasible at one of the ends"})
+            continue
+        bounds = problem.workcell.bounds.array
+        task = OneStepTask(energy, problem.placement_poses, bounds, ends, feasible)
+        rows.append({"pair": instance.name, **_measure(problem, task, variant, [seed, 71, number])})
+    return rows
+
+
+def _measure(problem: RegraspProblem, task: OneStepTask, variant: Variant, stream: list[int]) -> Row:
+    generator = GENERATORS["lattice"]()
+    rng = np.random.default_rng(stream)
+    found = generate(task, generator, variant.cost, PER_PLACEMENT, rng).take(slice(0, max(K_TOP)))
+    valid = verdicts(problem.checker, task.poses(found.placements[:, 0], found.xi[:, 0]), task.feasible)
+    starts = found.take(slice(0, SOLVES))
+    objective = task.objective(generator, variant.cost)
+    refiner = NlpRefiner()
+    refiner.refine(objective, starts.take(slice(0, 1)), rng)  # builds the solver
+    began = time.perf_counter()
+    refined = refiner.refine(objective, starts, rng)
+    seconds = time.perf_counter() - began
+    xi: FloatArray = refined.candidates.xi[:, 0]
+    refined_valid = verdicts(problem.checker, task.poses(starts.placements[:, 0], xi), task.feasible)
+    return {
+        **{f"sv_{k}": float(valid[:k].mean()) for k in K_TOP},
+        "sv_refined": float(refined_valid.mean()),
+        "converged": refined.stats["converged"] / len(starts),
+        "iterations": float(np.mean(refined.stats["iterations"])),
+        "solve_ms": 1e3 * seconds / len(starts),
+        "gain": float((starts.cost - refined.candidates.cost).mean()),
+    }
+
+
+def _with_grasps(problem: RegraspProblem, count: int | None) -> RegraspProblem:
+    if count is None or count >= len(problem.grasps):
+        return problem
+    return replace(problem, grasps=problem.grasps.subset(np.arange(count)))
+
+
+def _table(rows: list[Row], name: str) -> Table:
+    lines: list[tuple[Cell, ...]] = []
+    for label in VARIANTS:
+        here = [row for row in rows if row["object"] == name and row.get("variant") == label]
+        held_out = [row for row in here if "ap" in row]
+        pairs = [row for row in here if "converged" in row]
+        lines.append(
+            (
+                label,
+                mean([row["ap"] for row in held_out], 4),
+                mean([row["shared_f1"] for row in held_out], 4),
+                *(percent([row[f"sv_{k}"] for row in pairs]) for k in K_TOP),
+                percent([row["sv_refined"] for row in pairs]),
+                percent([row["converged"] for row in pairs]),
+                mean([row["iterations"] for row in pairs], 1),
+                round(median([row["solve_ms"] for row in pairs]), 1) if pairs else None,
+                mean([row["gain"] for row in pairs]),
+            )
+        )
+    return Table(
+        name,
+        (
+            "variant",
+            "AP",
+            "shared F1",
+            *(f"S.V. {k} [%]" for k in K_TOP),
+            "refined S.V. [%]",
+            "converged [%]",
+            "iterations",
+            "solve [ms]",
+            "gain in J",
+        ),
+        tuple(lines),
+        f"Refined S.V., converged, iterations, time and gain: Ipopt from the {SOLVES} cheapest poses of each pair. "
+        f"Costs "
+        "of different energies are not comparable, and neither are their gains.",
+    )
+
+
+def _figure(rows: list[Row], name: str) -> go.Figure:
+    values = {row["variant"]: row["ap"] for row in rows if row["object"] == name and "ap" in row}
+    figure = go.Figure(go.Bar(x=list(values), y=list(values.values())))
+    figure.update_yaxes(title_text="held-out AP", range=[min([0.9, *values.values()]) - 0.01, 1.0])
+    figure.update_layout(height=360, margin={"l": 60, "r": 10, "t": 10, "b": 110})
+    return figure

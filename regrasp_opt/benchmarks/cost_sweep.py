@@ -1,0 +1,257 @@
+"""Energy compositionality (Fig. 3) and the sweep of the cost formulations (Fig. 5).
+
+Fig. 3: the energies at two poses and their sum, against the exact feasible and shared grasps. Fig. 5: one intermediate
+pose moves in 40 steps from the goal to the start, and each cost is evaluated with 50 to 200 grasps, with the exact
+numbers of shared grasps beneath.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+from scipy.stats import spearmanr
+
+from regrasp_opt.benchmarks.instances import Instance, choose_instances, instances_hash, planar_parameters
+from regrasp_opt.benchmarks.report import Cell, Figure, Report, Table, mean, percent
+from regrasp_opt.benchmarks.runner import Item, Row
+from regrasp_opt.benchmarks.session import Session, error_rows, usable
+from regrasp_opt.benchmarks.subjects import planning_key, resident
+from regrasp_opt.connectivity import CostOptions, sequence_cost
+from regrasp_opt.connectivity.costs import COST_VARIANTS
+from regrasp_opt.conventions import FloatArray, planar_transform
+from regrasp_opt.energy.calibration import average_precision, best_threshold
+from regrasp_opt.files import content_hash
+from regrasp_opt.planning import RegraspProblem
+
+TEXT = (
+    "Whether summed energies rank shared grasps (Fig. 3), and how the costs behave while one intermediate pose moves "
+    "from the goal to the start (Fig. 5). Energies are learned at all poses, the ends included."
+)
+STEPS = 40
+GRASP_COUNTS = (50, 100, 150, 200)
+PAIRS = {True: 2, False: 10}
+"""Pairs an object that are swept, in quick and in full runs."""
+SUMS = {True: 10, False: 100}
+"""Pairs an object whose summed energies are compared, in quick and in full runs."""
+CANDIDATES = 10_000
+"""Pairs that need one regrasp among which pairs of one placement are looked for."""
+FLAT = 1e-9
+"""A step along which a cost changes less than this gives no direction."""
+
+
+def run_cost_sweep(session: Session) -> Report:
+    """Measure compositionality and the sweep."""
+    subjects = session.subjects()
+    items: list[Item] = []
+    hashes: dict[str, str] = {}
+    for name, problem in usable(subjects):
+        oracle, pool = session.oracle(name, problem), session.pool(problem)
+        sums = choose_instances(pool, oracle, {"0": SUMS[session.quick]}, session.rng(50), name)
+        pairs = choose_instances(pool, oracle, {"1": CANDIDATES}, session.rng(51), name)
+        swept = [p for p in pairs if _same_placement(problem, p)][: PAIRS[session.quick]]
+        hashes[name] = instances_hash([*sums, *swept])
+        for instance, function in [(i, compare_sums) for i in sums] + [(i, sweep) for i in swept]:
+            depends = content_hash(planning_key(problem), instances_hash([instance]))
+            first = instance in (sums[0], swept[0] if swept else None)
+            columns: Row = {"object": name, "pair": instance.name, "part": function.__name__, "first": first}
+            arguments = (replace(problem), instance)
+            items.append(Item(f"{instance.name}/{function.__name__}", depends, function, arguments, columns))
+    results = session.execute("cost-sweep", items)
+    rows = results.rows + error_rows(subjects)
+    names = [name for name, _ in usable(subjects)]
+    figures = [Figure(f"Energies of all grasps at two poses: {n}", _sum_figure(rows, n)) for n in names]
+    figures += [Figure(f"Costs along the sweep: {n}", _sweep_figure(rows, n)) for n in names]
+    return Report(
+        "cost-sweep",
+        "Energy compositionality and cost sweep",
+        TEXT,
+        (_sum_table(rows, names), _sweep_table(rows, names)),
+        rows,
+        tuple(figures),
+        hashes,
+        results.revisions,
+        {"quick": session.quick, "seed": session.seed, "steps": STEPS},
+    )
+
+
+def _same_placement(problem: RegraspProblem, instance: Instance) -> bool:
+    ends = [planar_parameters(T, problem.placement_poses)[0] for T in (instance.start, instance.goal)]
+    return ends[0] == ends[1]
+
+
+def compare_sums(problem: RegraspProblem, instance: Instance) -> list[Row]:
+    """Return one row with the quality of the sum, and one row for each grasp."""
+    problem = resident(problem)
+    ends = np.stack([instance.start, instance.goal])
+    energy = problem.energy(ends)
+    feasible = np.array([problem.feasible_grasps(T) for T in ends])
+    total, shared = energy.sum(axis=0), feasible[0] & feasible[1]
+    accepted = total <= problem.energy.model.threshold
+    summary: Row = {
+        "ap_start": average_precision(energy[0], feasible[0]),
+        "ap_goal": average_precision(energy[1], feasible[1]),
+        "ap_shared": average_precision(total, shared),
+        "f1_shared": best_threshold(total, shared).f1,
+        "f1_at_h": 2 * int((accepted & shared).sum()) / max(1, int(accepted.sum()) + int(shared.sum())),
+        "shared": int(shared.sum()),
+    }
+    columns = zip(*energy.tolist(), total.tolist(), *feasible.tolist(), strict=True)
+    return [summary] + [
+        {"grasp": g, "E_start": a, "E_goal": b, "E_sum": s, "feasible_start": fa, "feasible_goal": fb}
+        for g, (a, b, s, fa, fb) in enumerate(columns)
+    ]
+
+
+def sweep(problem: RegraspProblem, instance: Instance) -> list[Row]:
+    """Return one row for each step and number of grasps."""
+    problem = resident(problem)
+    poses = sweep_poses(problem, instance)
+    T = np.concatenate([instance.start[None], poses, instance.goal[None]])
+    energies = problem.energy(T)
+    feasible = np.array([problem.feasible_grasps(pose) for pose in T])
+    rows: list[Row] = []
+    for count in dict.fromkeys(min(count, len(problem.grasps)) for count in GRASP_COUNTS):
+        chain = [np.broadcast_to(energies[i, :count], (STEPS, count)) for i in (0, -1)]
+        along = np.stack([chain[0], energies[1:-1, :count], chain[1]], axis=1)
+        costs = {
+            v: sequence_cost(along, CostOptions(variant=v, h=problem.energy.model.threshold)) for v in COST_VARIANTS
+        }
+        middle = feasible[1:-1, :count]
+        to_start, to_goal = (middle & feasible[i, :count] for i in (0, -1))
+        through = to_start & feasible[-1, :count]
+        rows += [
+            {
+                "step": step,
+                "grasps": count,
+                **{variant: float(values[step]) for variant, values in costs.items()},
+                "shared_start": int(to_start[step].sum()),
+                "shared_goal": int(to_goal[step].sum()),
+                "shared_all": int(through[step].sum()),
+            }
+            for step in range(STEPS)
+        ]
+    return rows
+
+
+def sweep_poses(problem: RegraspProblem, instance: Instance) -> FloatArray:
+    """Return the intermediate poses (STEPS, 4, 4), from the goal to the start along straight planar parameters."""
+    number, start = planar_parameters(instance.start, problem.placement_poses)
+    _, goal = planar_parameters(instance.goal, problem.placement_poses)
+    turn = (start[2] - goal[2] + np.pi) % (2 * np.pi) - np.pi
+    xi = goal + np.linspace(0, 1, STEPS)[:, None] * np.array([*(start - goal)[:2], turn])
+    return planar_transform(xi) @ problem.placement_poses[number]
+
+
+def _sum_table(rows: list[Row], names: list[str]) -> Table:
+    lines: list[tuple[Cell, ...]] = []
+    for name in names:
+        here = [row for row in rows if row["object"] == name and "ap_shared" in row]
+        keys = ("ap_start", "ap_goal", "ap_shared", "f1_shared", "f1_at_h")
+        lines.append((name, len(here), *(mean([row[key] for row in here], 3) for key in keys)))
+    return Table(
+        "Summed energies against exact shared grasps",
+        ("object", "pairs", "AP start", "AP goal", "AP shared", "best F1 shared", "F1 at h"),
+        tuple(lines),
+        "Average precision of ranking all grasps by energy, mean over pairs with at least one shared grasp.",
+    )
+
+
+def _sweep_table(rows: list[Row], names: list[str]) -> Table:
+    lines: list[tuple[Cell, ...]] = []
+    for name in names:
+        sweeps = _sweeps(rows, name, max(GRASP_COUNTS))
+        open_ones = [s for s in sweeps if (_weakest(s) > 0).any()]
+        for variant in COST_VARIANTS:
+            lines.append(
+                (
+                    name,
+                    _COST_NAMES[variant],
+                    len(sweeps),
+                    len(open_ones),
+                    percent([_weakest(s)[int(_values(s, variant).argmin())] > 0 for s in open_ones]),
+                    percent([float((abs(np.diff(_values(s, variant))) < FLAT).mean()) for s in sweeps]),
+                    mean([_agreement(s, variant) for s in open_ones]),
+                )
+            )
+    return Table(
+        "Costs along the sweep, all grasps",
+        ("object", "cost", "sweeps", "with a valid step", "minimum valid [%]", "flat steps [%]", "rank correlation"),
+        tuple(lines),
+        "Minimum valid: the step of least cost shares a grasp with both ends, of the sweeps that have such a step. "
+        "Rank correlation: of low cost with the smaller of the two exact shared counts.",
+    )
+
+
+_COST_NAMES = {"J": "J_seq", "J+": "J+_seq", "Jh": "J^h_seq"}
+
+
+def _sweeps(rows: list[Row], name: str, count: int) -> list[list[Row]]:
+    here = [row for row in rows if row["object"] == name and "step" in row]
+    largest = max((row["grasps"] for row in here), default=0)
+    found: dict[str, list[Row]] = {}
+    for row in here:
+        if row["grasps"] == min(count, largest):
+            found.setdefault(row["pair"], []).append(row)
+    return list(found.values())
+
+
+def _values(rows: list[Row], key: str) -> Any:
+    return np.array([row[key] for row in rows], dtype=np.float64)
+
+
+def _weakest(rows: list[Row]) -> Any:
+    return np.minimum(_values(rows, "shared_start"), _values(rows, "shared_goal"))
+
+
+def _agreement(rows: list[Row], variant: str) -> float:
+    values = _values(rows, variant)
+    if np.ptp(values) < FLAT or np.ptp(_weakest(rows)) == 0:
+        return 0.0
+    return float(spearmanr(-values, _weakest(rows)).statistic)
+
+
+def _sum_figure(rows: list[Row], name: str) -> go.Figure:
+    grasps = [row for row in rows if row["object"] == name and "grasp" in row and row["first"]]
+    figure = go.Figure()
+    labels = {
+        "shared": (True, True),
+        "start only": (True, False),
+        "goal only": (False, True),
+        "neither": (False, False),
+    }
+    for label, (start, goal) in labels.items():
+        here = [r for r in grasps if (r["feasible_start"], r["feasible_goal"]) == (start, goal)]
+        figure.add_trace(
+            go.Scatter(x=[r["E_start"] for r in here], y=[r["E_goal"] for r in here], mode="markers", name=label)
+        )
+    figure.update_xaxes(title_text="E at the start")
+    figure.update_yaxes(title_text="E at the goal")
+    figure.update_layout(height=420, margin={"l": 60, "r": 10, "t": 10, "b": 50})
+    return figure
+
+
+def _sweep_figure(rows: list[Row], name: str) -> go.Figure:
+    titles = (*_COST_NAMES.values(), "shared grasps (exact)")
+    figure = make_subplots(rows=2, cols=2, subplot_titles=titles)
+    here = [row for row in rows if row["object"] == name and "step" in row and row["first"]]
+    for count in sorted({row["grasps"] for row in here}):
+        curve = [row for row in here if row["grasps"] == count]
+        steps = [row["step"] for row in curve]
+        for panel, variant in enumerate(COST_VARIANTS):
+            line = go.Scatter(
+                x=steps, y=_values(curve, variant).tolist(), name=f"{_COST_NAMES[variant]}, {count} grasps"
+            )
+            figure.add_trace(line, row=1 + panel // 2, col=1 + panel % 2)
+    curve = [row for row in here if row["grasps"] == max((row["grasps"] for row in here), default=0)]
+    for key in ("shared_start", "shared_goal", "shared_all"):
+        line = go.Scatter(
+            x=[row["step"] for row in curve], y=[row[key] for row in curve], name=key.replace("_", " with ")
+        )
+        figure.add_trace(line, row=2, col=2)
+    figure.update_xaxes(title_text="step")
+    figure.update_layout(height=640, margin={"l": 60, "r": 10, "t": 40, "b": 50})
+    return figure

@@ -1,0 +1,192 @@
+"""Cross-end-effector evaluation (Table II): a model trained with one tool guides one-step generation with another."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import plotly.graph_objects as go
+
+from regrasp_opt.benchmarks.generation import GENERATORS, OneStepTask, generate, verdicts
+from regrasp_opt.benchmarks.instances import Instance, choose_instances, instances_hash
+from regrasp_opt.benchmarks.models import TrainingRequest, trained_energies
+from regrasp_opt.benchmarks.oracle import Resolution
+from regrasp_opt.benchmarks.paper import CROSS_EFFECTOR, END_EFFECTORS, PAPER_OBJECT
+from regrasp_opt.benchmarks.report import Cell, Figure, Report, Table, mean, percent
+from regrasp_opt.benchmarks.runner import Item, Row, progress_bar
+from regrasp_opt.benchmarks.session import QUICK_GRID, Session
+from regrasp_opt.benchmarks.subjects import problem_key, resident
+from regrasp_opt.connectivity import CostOptions
+from regrasp_opt.conventions import invert
+from regrasp_opt.end_effectors import EndEffector, load_end_effector
+from regrasp_opt.energy.model import EnergyModel, GraspEnergy
+from regrasp_opt.energy.training import TrainingOptions
+from regrasp_opt.errors import RegraspError
+from regrasp_opt.files import content_hash
+from regrasp_opt.grasps import GraspSet
+from regrasp_opt.planning import RegraspProblem
+from regrasp_opt.workcell import load_workcell
+
+TEXT = (
+    "An energy trained with one end-effector guides the generation of one intermediate pose for another, on the "
+    "latter's grasps; S.V. at K_top 100 is decided by the latter's exact check. The jaw width is no input, and all "
+    "energies see equally many feasible samples."
+)
+K_TOP = 100
+PER_PLACEMENT = 200
+
+
+class _Sizes:
+    """What a run covers."""
+
+    def __init__(self, quick: bool) -> None:
+        self.end_effectors = ("w", "r85", "s1") if quick else END_EFFECTORS
+        self.objects = 1 if quick else None
+        self.pairs = 2 if quick else 10
+        self.samples = 4_000 if quick else 20_000
+        self.grid = Resolution(0.1, 8) if quick else QUICK_GRID
+
+
+def run_cross_effector(session: Session) -> Report:
+    """Measure S.V. for every pair of a trained and a tested end-effector."""
+    sizes = _Sizes(session.quick)
+    bodies, rows = session.bodies()
+    items: list[Item] = []
+    hashes: dict[str, str] = {}
+    for name, body in list(bodies.items())[: sizes.objects]:
+        problems: dict[str, RegraspProblem] = {}
+        for effector in sizes.end_effectors:
+            try:
+                problems[effector] = RegraspProblem.load(body, load_workcell(f"nova2-{effector}"))
+            except RegraspError as error:
+                rows.append({"object": name, "trained": effector, "tested": effector, "error": str(error)})
+        energies = _energies(session, problems, sizes.samples)
+        for tested, problem in problems.items():
+            oracle = session.oracle(f"{name}, {tested}", problem, sizes.grid)
+            prefix = f"{name}/{tested}"
+            pairs = choose_instances(session.pool(problem), oracle, {"1": sizes.pairs}, session.rng(60), prefix)
+            hashes[prefix] = instances_hash(pairs)
+            items += [
+                _item(name, trained, tested, energy, problem, pairs, session.seed)
+                for trained, energy in energies.items()
+            ]
+    results = session.execute("cross-effector", items)
+    rows = results.rows + rows
+    tables = tuple(_table(rows, name, sizes.end_effectors) for name in bodies if any(r["object"] == name for r in rows))
+    return Report(
+        "cross-effector",
+        "Across end-effectors",
+        TEXT,
+        (*tables, _blocks(rows)),
+        rows,
+        tuple(Figure(f"S.V. [%]: {t.title}", _heatmap(t)) for t in tables),
+        hashes,
+        results.revisions,
+        {"quick": session.quick, "seed": session.seed, "samples": sizes.samples, "oracle": str(sizes.grid)},
+    )
+
+
+def _energies(session: Session, problems: dict[str, RegraspProblem], samples: int) -> dict[str, EnergyModel]:
+    options = TrainingOptions(use_width=False, seed=session.seed)
+    requests = [TrainingRequest(problem, options, samples, session.seed) for problem in problems.values()]
+    with progress_bar(session.quiet) as bar:
+        task = bar.add_task("training", total=len(requests))
+        energies = trained_energies(
+            requests, jobs=session.jobs, progress=lambda done, total: bar.update(task, completed=done, total=total)
+        )
+    return dict(zip(problems, energies, strict=True))
+
+
+def _item(
+    name: str,
+    trained: str,
+    tested: str,
+    energy: EnergyModel,
+    problem: RegraspProblem,
+    pairs: list[Instance],
+    seed: int,
+) -> Item:
+    return Item(
+        f"{name}/{trained}/{tested}",
+        content_hash(problem_key(problem), energy.fingerprint(), instances_hash(pairs), seed, PER_PLACEMENT),
+        measure_transfer,
+        (replace(problem), energy, trained, pairs, seed),
+        {"object": name, "trained": trained, "tested": tested},
+    )
+
+
+def as_held_by(grasps: GraspSet, tested: EndEffector, trained: EndEffector) -> GraspSet:
+    """Return `grasps` of the end-effector `tested` as TCP poses of `trained` that put the flange at the same place."""
+    shift = tested.T_tcp_flange @ invert(trained.T_tcp_flange)
+    return replace(grasps, T_object_tcp=grasps.T_object_tcp @ shift)
+
+
+def measure_transfer(
+    problem: RegraspProblem, model: EnergyModel, trained: str, pairs: list[Instance], seed: int
+) -> list[Row]:
+    """Return one row for each pair: S.V. of the poses that the energy `model` generates for `problem`."""
+    problem = resident(problem)
+    energy = GraspEnergy(model, _seen_by(problem, trained))
+    bounds, rows = problem.workcell.bounds.array, []
+    for instance in pairs:
+        ends = np.stack([instance.start, instance.goal])
+        feasible = np.array([problem.feasible_grasps(T) for T in ends])
+        task = OneStepTask(energy, problem.placement_poses, bounds, ends, feasible)
+        rng = np.random.default_rng([seed, 61])
+        found = generate(task, GENERATORS["lattice"](), CostOptions(), PER_PLACEMENT, rng).take(slice(0, K_TOP))
+        valid = verdicts(problem.checker, task.poses(found.placements[:, 0], found.xi[:, 0]), feasible)
+        rows.append({"pair": instance.name, "sv": float(valid.mean())})
+    return rows
+
+
+def _seen_by(problem: RegraspProblem, trained: str) -> GraspSet:
+    """Return the grasps of `problem` as the model of the end-effector `trained` takes them."""
+    effector = load_end_effector(trained)
+    return as_held_by(problem.grasps, problem.workcell.end_effector, effector)
+
+
+def _cell(rows: list[Row], name: str, trained: str, tested: str) -> float | None:
+    wanted = (name, trained, tested)
+    return percent([r["sv"] for r in rows if "sv" in r and (r["object"], r["trained"], r["tested"]) == wanted])
+
+
+def _table(rows: list[Row], name: str, end_effectors: tuple[str, ...]) -> Table:
+    printed = CROSS_EFFECTOR.get(PAPER_OBJECT.get(name, ""), {})
+    lines: list[tuple[Cell, ...]] = []
+    for trained in end_effectors:
+        ours = [_cell(rows, name, trained, tested) for tested in end_effectors]
+        paper = [printed.get(trained, {}).get(tested) for tested in end_effectors]
+        lines.append((trained, *ours, *paper))
+    columns = ("trained", *end_effectors, *(f"paper {tested}" for tested in end_effectors))
+    return Table(name, columns, tuple(lines), "Rows: trained end-effector; columns: tested end-effector; S.V. [%].")
+
+
+def _blocks(rows: list[Row]) -> Table:
+    """Return the means of the diagonal and of the rest, ours and the paper's over the same cells."""
+    lines: list[tuple[Cell, ...]] = []
+    for name in dict.fromkeys(row["object"] for row in rows if "sv" in row):
+        printed = CROSS_EFFECTOR.get(PAPER_OBJECT.get(name, ""), {})
+        cells = {(r["trained"], r["tested"]) for r in rows if r["object"] == name and "sv" in r}
+        parts: list[Cell] = []
+        for diagonal in (True, False):
+            chosen = [cell for cell in sorted(cells) if (cell[0] == cell[1]) is diagonal]
+            ours = [value for cell in chosen if (value := _cell(rows, name, *cell)) is not None]
+            paper = [printed[a][b] for a, b in chosen if printed]
+            parts += [mean(ours, 1), min(ours, default=None), mean(paper, 1)]
+        lines.append((name, *parts))
+    return Table(
+        "Means of the blocks",
+        ("object", "same tool", "least", "paper", "other tool", "least of these", "paper, other tool"),
+        tuple(lines),
+        "S.V. [%]. The paper's means are over the same cells.",
+    )
+
+
+def _heatmap(table: Table) -> go.Figure:
+    names = [str(row[0]) for row in table.rows]
+    values = [list(row[1 : 1 + len(names)]) for row in table.rows]
+    figure = go.Figure(go.Heatmap(z=values, x=names, y=names, zmin=0, zmax=100, texttemplate="%{z}"))
+    figure.update_xaxes(title_text="tested")
+    figure.update_yaxes(title_text="trained", autorange="reversed")
+    figure.update_layout(height=400, width=520, margin={"l": 60, "r": 10, "t": 10, "b": 50})
+    return figure

@@ -1,0 +1,101 @@
+"""Energies trained for a comparison: any training options, any number of samples, kept under a hash."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import joblib
+
+from regrasp_opt.benchmarks.subjects import problem_key
+from regrasp_opt.energy.calibration import calibrate
+from regrasp_opt.energy.features import pair_features
+from regrasp_opt.energy.model import EnergyModel, GraspEnergy
+from regrasp_opt.energy.storage import load_energy, save_energy
+from regrasp_opt.energy.training import TrainingOptions, train
+from regrasp_opt.errors import ModelError
+from regrasp_opt.feasibility.dataset import LabellingTask, label_pairs, label_poses
+from regrasp_opt.files import content_hash, data_home
+from regrasp_opt.planning import RegraspProblem
+from regrasp_opt.planning.prepare import HELD_OUT_POSES
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingRequest:
+    """An energy to train: `samples` feasible pairs of `problem`, and how."""
+
+    problem: RegraspProblem
+    options: TrainingOptions
+    samples: int
+    seed: int = 0
+
+    @property
+    def path(self) -> Path:
+        """Where the trained energy is kept."""
+        settings = sorted(asdict(self.options).items())
+        key = content_hash("trained-1", problem_key(self.problem), settings, self.samples, self.seed)
+        return data_home() / "benchmarks" / f"{key[:32]}.safetensors"
+
+    @property
+    def labelling(self) -> LabellingTask:
+        """The labels that it is trained on."""
+        problem = self.problem
+        return LabellingTask(problem.object, problem.workcell, problem.grasps, problem.placement_poses, self.seed)
+
+
+def trained_energies(
+    requests: Sequence[TrainingRequest],
+    *,
+    jobs: int = -1,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[EnergyModel]:
+    """Return the energies of `requests`; those not trained before are labelled in turn, then trained in parallel.
+
+    Raises
+    ------
+    RegraspError
+        If no grasp of a problem is feasible, or its labels cannot train an energy.
+    """
+    energies = [_stored(request) for request in requests]
+    missing = [i for i, energy in enumerate(energies) if energy is None]
+    for i in missing:
+        label_pairs(requests[i].labelling, requests[i].samples, folder=_labels(), jobs=jobs)
+    done = len(requests) - len(missing)
+    if missing:
+        with joblib.Parallel(n_jobs=jobs, return_as="generator") as parallel:
+            work = (joblib.delayed(_train)(replace(requests[i], problem=replace(requests[i].problem))) for i in missing)
+            for i, energy in zip(missing, parallel(work), strict=True):
+                save_energy(energy, requests[i].path)
+                energies[i] = energy
+                done += 1
+                if progress is not None:
+                    progress(done, len(requests))
+    return [energy for energy in energies if energy is not None]
+
+
+def _labels() -> Path:
+    return data_home() / "labels"
+
+
+def _stored(request: TrainingRequest) -> EnergyModel | None:
+    if not request.path.is_file():
+        return None
+    try:
+        return load_energy(request.path)
+    except ModelError as error:
+        logger.warning("%s; it is trained again", error)
+        return None
+
+
+def _train(request: TrainingRequest) -> EnergyModel:
+    """Train and calibrate in a worker; the labels are read from disk, where `trained_energies` has put them."""
+    pairs = label_pairs(request.labelling, request.samples, folder=_labels(), jobs=1)
+    held_out = label_poses(request.labelling, HELD_OUT_POSES, jobs=1)
+    grasps, options = request.problem.grasps, request.options
+    features = pair_features(pairs.T, grasps.subset(pairs.grasp_ids), options.features, options.use_width)
+    model = train(features, pairs.feasible, options)
+    return calibrate(model, GraspEnergy(model, grasps), held_out.T, held_out.feasible, request.seed)

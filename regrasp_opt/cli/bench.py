@@ -1,0 +1,95 @@
+"""`regrasp-opt bench`: the evaluation, one experiment at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from regrasp_opt.benchmarks.ablations import run_ablations
+from regrasp_opt.benchmarks.cost_sweep import run_cost_sweep
+from regrasp_opt.benchmarks.cross_effector import run_cross_effector
+from regrasp_opt.benchmarks.hard_tiers import run_hard_tiers
+from regrasp_opt.benchmarks.multi_step import run_multi_step
+from regrasp_opt.benchmarks.one_step import run_one_step, run_unseen
+from regrasp_opt.benchmarks.refiners import run_refiners
+from regrasp_opt.benchmarks.report import Report, shown, write_document, write_report
+from regrasp_opt.benchmarks.runner import dask_cluster
+from regrasp_opt.benchmarks.session import Session
+from regrasp_opt.errors import UnknownNameError
+
+EXPERIMENTS: dict[str, Callable[[Session], Report]] = {
+    "cost-sweep": run_cost_sweep,
+    "one-step": run_one_step,
+    "unseen": run_unseen,
+    "cross-effector": run_cross_effector,
+    "multi-step": run_multi_step,
+    "hard-tiers": run_hard_tiers,
+    "refiners": run_refiners,
+    "ablations": run_ablations,
+}
+"""The experiments by their names on the command line."""
+
+DOCUMENT = "benchmarks.md"
+"""Name of the file with the tables of all experiments in a folder."""
+
+
+def run_bench(
+    name: str,
+    *,
+    out: Path,
+    quick: bool = False,
+    objects: Path | None = None,
+    jobs: int = -1,
+    dask: str | None = None,
+    seed: int = 0,
+) -> int:
+    """Run one experiment, write its files below `out` and print its tables; return 0.
+
+    Parameters
+    ----------
+    name : str
+        One of `EXPERIMENTS`.
+    out : Path
+        Folder of all experiments; a run that was interrupted there goes on.
+    quick : bool
+        Minutes instead of the paper's sizes.
+    objects : Path, optional
+        Folder of meshes to evaluate besides the built-in objects.
+    jobs : int
+        Workers, as joblib counts them.
+    dask : str, optional
+        Address of a Dask scheduler whose workers are used instead.
+
+    Raises
+    ------
+    RegraspError
+        For an unknown experiment, a folder without meshes, or a scheduler that does not answer.
+    """
+    if name not in EXPERIMENTS:
+        raise UnknownNameError("experiment", name, EXPERIMENTS)
+    session = Session(out, quick=quick, objects=objects, jobs=jobs, seed=seed)
+    with dask_cluster(dask):
+        report = EXPERIMENTS[name](session)
+    folder = out / report.name
+    write_report(report, folder)
+    write_document(out, out / DOCUMENT)
+    _print(report, folder)
+    return 0
+
+
+def _print(report: Report, folder: Path) -> None:
+    console = Console(highlight=False)
+    for item in report.tables:
+        table = Table(title=escape(item.title), title_justify="left", box=None, header_style="bold")
+        for number, heading in enumerate(item.columns):
+            table.add_column(escape(heading), justify="right" if number else "left")
+        for row in item.rows:
+            table.add_row(*(escape(shown(cell)) for cell in row))
+        console.print(table)
+    for bad in report.errors:
+        console.print(f"[bold red]not measured[/]: {escape(str(bad['object']))}: {escape(str(bad['error']))}")
+    console.print(f"written: {folder / 'index.html'}, {folder / 'summary.json'}, {folder / 'rows.csv'}", soft_wrap=True)
