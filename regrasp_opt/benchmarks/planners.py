@@ -145,7 +145,7 @@ def graph_row(
         "num_regrasps": None if path is None else len(path),
         "seconds": round(seconds, 4),
         "first_proof": None if path is None else round(seconds, 4),
-        "grid_seconds": oracle.seconds,
+        "before": oracle.seconds,
     }
     if path is not None:
         chain = [start, *oracle.feasible[path], goal]

@@ -6,10 +6,10 @@ import json
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from regrasp_opt.cli.output import make_console
 from regrasp_opt.planning import RegraspPlan
 
 
@@ -32,7 +32,7 @@ def run_check(path: Path, *, as_json: bool) -> int:
         ]
         print(json.dumps({"holds": good, "problems": problems, "transitions": rows}))
         return 0 if good else 1
-    console = Console(highlight=False)
+    console = make_console()
     table = Table(box=None, header_style="bold")
     for heading in (
         "transition",

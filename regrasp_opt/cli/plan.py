@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from regrasp_opt.cli.output import make_console
 from regrasp_opt.cli.poses import describe_pose, parse_pose
 from regrasp_opt.conventions import as_seed
 from regrasp_opt.errors import RegraspError
@@ -85,7 +85,7 @@ def _task(request: PlanRequest, problem: RegraspProblem) -> Task:
 
 
 def _print(plan: RegraspPlan, written: list[Path]) -> None:
-    console = Console(highlight=False)
+    console = make_console()
     problem = plan.problem
     colour = "green" if plan.solved else "red"
     console.print(f"[bold {colour}]{plan.status.name.lower()}[/]: {plan.status.value.removeprefix('solved: ')}")

@@ -6,11 +6,11 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from regrasp_opt.cli.output import make_console
 from regrasp_opt.objects import load_object
 from regrasp_opt.planning.prepare import prepare
 from regrasp_opt.workcell import load_workcell
@@ -36,7 +36,7 @@ def run_prepare(request: PrepareRequest, *, as_json: bool) -> int:
     """Prepare a model, with progress on a terminal; return 0."""
     model = load_object(request.object, scale=request.scale, repair=request.repair)
     workcell = load_workcell(request.workcell, end_effector=request.end_effector)
-    errors = Console(stderr=True)
+    errors = make_console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=errors, disable=not errors.is_terminal, transient=True) as bar:
         rows: dict[str, int] = {}
@@ -59,7 +59,7 @@ def run_prepare(request: PrepareRequest, *, as_json: bool) -> int:
     if as_json:
         print(json.dumps({"folder": str(folder), **report}))
         return 0
-    console = Console(highlight=False)
+    console = make_console()
     console.print(
         f"[bold green]prepared[/] {model.name} for {workcell.name}: {report['grasps']} grasps, "
         f"{report['placements']} placements, {report['feasible_pairs']} feasible of {report['pairs']} pairs"
@@ -68,13 +68,8 @@ def run_prepare(request: PrepareRequest, *, as_json: bool) -> int:
     for heading in ("energy", "held-out AP", "AUROC", "F1", "shared F1", "h"):
         table.add_column(escape(heading), justify="left" if heading == "energy" else "right")
     for name, held_out in report["held_out"].items():
-        figures = (
-            held_out["average_precision"],
-            held_out["f1"],
-            held_out["shared_f1"],
-            report["threshold"][name],
-        )
-        table.add_row(name, *(f"{value:.3f}" for value in figures))
+        figures = [held_out[key] for key in ("average_precision", "auroc", "f1", "shared_f1")]
+        table.add_row(name, *(f"{value:.3f}" for value in (*figures, report["threshold"][name])))
     console.print(table)
     bins = report["held_out"]["default"]["reliability"]
     pairs = ", ".join(f"{b['predicted']:.2f} -> {b['observed']:.2f}" for b in bins)
