@@ -33,6 +33,9 @@ CLEARANCE_TOLERANCE = 1e-4
 PLACEMENT_TOLERANCE = 1e-6
 """How far an intermediate pose may be from its stable placement and planar parameters [m, rad]."""
 
+RESTING_TOLERANCE = 1e-3
+"""How far an object's lowest point may be from the table top, and what else touches the table [m]."""
+
 RIGID_TOLERANCE = 1e-4
 """How far ``R.T @ R`` of a given pose may be from the identity before it is rejected; below, it is orthonormalised."""
 
@@ -74,15 +77,15 @@ def as_pose(T: Any, name: str = "pose") -> FloatArray:
 
 
 def as_seed(seed: Any) -> int:
-    """Return `seed` if it is a whole number of at least 0.
+    """Return `seed` if it is a whole number from 0 to 2**63 - 1.
 
     Raises
     ------
     OptionError
         If it is not.
     """
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise OptionError(f"seed is {seed}; give a whole number of at least 0")
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or not 0 <= seed < 2**63:
+        raise OptionError(f"seed is {seed}; give a whole number from 0 to 2**63 - 1")
     return int(seed)
 
 

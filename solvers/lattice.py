@@ -11,6 +11,7 @@ ranked by the negative log of that, which does not let an abundant pair make up 
 
 from __future__ import annotations
 
+import contextlib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
@@ -74,8 +75,8 @@ class PoseLattice:
             blocks = list(pool.map(lambda part: energy(part, np.float32), np.array_split(T, 8 * _WORKERS)))
         energies = np.concatenate(blocks)
         if path is not None:
-            with atomic_path(path) as temporary, temporary.open("wb") as file:
-                np.save(file, energies, allow_pickle=False)
+            with contextlib.suppress(OSError), atomic_path(path) as temporary, temporary.open("wb") as file:
+                np.save(file, energies, allow_pickle=False)  # only a cache: a folder that cannot be written is no error
         return PoseLattice(numbers, xi, energies)
 
 

@@ -93,7 +93,7 @@ class SequenceProgram:
         rows = {} if limit is None else {"lbg": -np.inf, "ubg": limit}
         solution = self._solver(x0=x0, p=packed, lbx=low, ubx=high, **rows)
         stats = self._solver.stats()
-        status = str(stats["return_status"])
+        status = str(stats.get("return_status", "unknown"))
         found, x = float(solution["f"]), np.array(solution["x"]).ravel()
         allowed = limit is None or bool((np.array(solution["g"]) <= limit + 1e-6).all())
         better = bool(np.isfinite(found) and found <= start_cost and allowed)
@@ -101,9 +101,9 @@ class SequenceProgram:
             (x if better else x0).reshape(-1, 3),
             found if better else start_cost,
             status,
-            status in CONVERGED or (self.settings.plugin != "ipopt" and bool(stats["success"])),
+            status in CONVERGED or (self.settings.plugin != "ipopt" and bool(stats.get("success", False))),
             better,
-            int(stats["iter_count"]),
+            int(stats.get("iter_count", 0)),
             np.array(stats.get("iterations", {}).get("obj", [start_cost, found]), dtype=np.float64),
         )
 
@@ -125,7 +125,11 @@ def _build(energy: CasadiEnergy, functions: SequenceFunctions, num_regrasps: int
         nlp["g"] = g
     chosen: dict[str, Any] = {"print_time": False, **_plugin_options(settings)}
     chosen.update(_derivatives(functions, x, p, inputs, (g, jacobian), settings))
-    return ca.nlpsol("regrasp", settings.plugin, nlp, chosen)
+    try:
+        return ca.nlpsol("regrasp", settings.plugin, nlp, chosen)
+    except RuntimeError as error:
+        reason = str(error).strip().splitlines()[-1]
+        raise OptionError(f"CasADi cannot set up the plugin '{settings.plugin}' ({reason}); use ipopt") from error
 
 
 def _derivatives(

@@ -28,6 +28,10 @@ TEXT = (
     "One change at a time from the default energy and cost. AP and shared F1 are on held-out poses; S.V. is of one-"
     "step generation; the solver's figures are of the ten cheapest poses of each pair, refined by Ipopt."
 )
+PAIRS = {True: 3, False: 10}
+"""Pairs an object, in quick and in full runs."""
+SAMPLES = {True: 4_000, False: 20_000}
+"""Feasible samples that the default is trained on, in quick and in full runs."""
 K_TOP = (200, 10)
 PER_PLACEMENT = 200
 SOLVES = 10
@@ -66,12 +70,12 @@ VARIANTS: dict[str, Variant] = {
 def run_ablations(session: Session) -> Report:
     """Measure every variant on every object; quick runs take the first object and fewer samples."""
     subjects = session.subjects()
-    samples, count = (4_000, 3) if session.quick else (20_000, 10)
+    samples = SAMPLES[session.quick]
     items: list[Item] = []
     hashes: dict[str, str] = {}
     for name, problem in usable(subjects)[: 1 if session.quick else None]:
         oracle = session.oracle(name, problem)
-        pairs = choose_instances(session.pool(problem), oracle, {"1": count}, session.rng(70), name)
+        pairs = choose_instances(session.pool(problem), oracle, {"1": PAIRS[session.quick]}, session.rng(70), name)
         hashes[name] = instances_hash(pairs)
         energies = _energies(session, problem, samples)
         items += [_item(name, label, problem, energies[label], pairs, session.seed) for label in VARIANTS]

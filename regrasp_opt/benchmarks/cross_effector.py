@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import plotly.graph_objects as go
@@ -17,13 +17,10 @@ from regrasp_opt.benchmarks.runner import Item, Row, progress_bar
 from regrasp_opt.benchmarks.session import QUICK_GRID, Session
 from regrasp_opt.benchmarks.subjects import problem_key, resident
 from regrasp_opt.connectivity import CostOptions
-from regrasp_opt.conventions import invert
-from regrasp_opt.end_effectors import EndEffector, load_end_effector
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
 from regrasp_opt.energy.training import TrainingOptions
 from regrasp_opt.errors import RegraspError
 from regrasp_opt.files import content_hash
-from regrasp_opt.grasps import GraspSet
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.workcell import load_workcell
 
@@ -36,20 +33,24 @@ K_TOP = 100
 PER_PLACEMENT = 200
 
 
-class _Sizes:
+@dataclass(frozen=True)
+class Sizes:
     """What a run covers."""
 
-    def __init__(self, quick: bool) -> None:
-        self.end_effectors = ("w", "r85", "s1") if quick else END_EFFECTORS
-        self.objects = 1 if quick else None
-        self.pairs = 2 if quick else 10
-        self.samples = 4_000 if quick else 20_000
-        self.grid = Resolution(0.1, 8) if quick else QUICK_GRID
+    end_effectors: tuple[str, ...]
+    objects: int | None
+    pairs: int
+    samples: int
+    grid: Resolution
+
+
+QUICK = Sizes(("w", "r85", "s1"), 1, 2, 4_000, Resolution(0.1, 8))
+FULL = Sizes(END_EFFECTORS, None, 10, 20_000, QUICK_GRID)
 
 
 def run_cross_effector(session: Session) -> Report:
     """Measure S.V. for every pair of a trained and a tested end-effector."""
-    sizes = _Sizes(session.quick)
+    sizes = QUICK if session.quick else FULL
     bodies, rows = session.bodies()
     items: list[Item] = []
     hashes: dict[str, str] = {}
@@ -110,23 +111,19 @@ def _item(
         f"{name}/{trained}/{tested}",
         content_hash(problem_key(problem), energy.fingerprint(), instances_hash(pairs), seed, PER_PLACEMENT),
         measure_transfer,
-        (replace(problem), energy, trained, pairs, seed),
+        (replace(problem), energy, pairs, seed),
         {"object": name, "trained": trained, "tested": tested},
     )
 
 
-def as_held_by(grasps: GraspSet, tested: EndEffector, trained: EndEffector) -> GraspSet:
-    """Return `grasps` of the end-effector `tested` as TCP poses of `trained` that put the flange at the same place."""
-    shift = tested.T_tcp_flange @ invert(trained.T_tcp_flange)
-    return replace(grasps, T_object_tcp=grasps.T_object_tcp @ shift)
+def measure_transfer(problem: RegraspProblem, model: EnergyModel, pairs: list[Instance], seed: int) -> list[Row]:
+    """Return one row for each pair: S.V. of the poses that the energy `model` generates for `problem`.
 
-
-def measure_transfer(
-    problem: RegraspProblem, model: EnergyModel, trained: str, pairs: list[Instance], seed: int
-) -> list[Row]:
-    """Return one row for each pair: S.V. of the poses that the energy `model` generates for `problem`."""
+    The model sees the TCP poses of the tested grasps as if they were its own tool's: the shift that would put the
+    flange at the same place measured worse, because the reach matters less than where the fingers are.
+    """
     problem = resident(problem)
-    energy = GraspEnergy(model, _seen_by(problem, trained))
+    energy = GraspEnergy(model, problem.grasps)
     bounds, rows = problem.workcell.bounds.array, []
     for instance in pairs:
         ends = np.stack([instance.start, instance.goal])
@@ -137,12 +134,6 @@ def measure_transfer(
         valid = verdicts(problem.checker, task.poses(found.placements[:, 0], found.xi[:, 0]), feasible)
         rows.append({"pair": instance.name, "sv": float(valid.mean())})
     return rows
-
-
-def _seen_by(problem: RegraspProblem, trained: str) -> GraspSet:
-    """Return the grasps of `problem` as the model of the end-effector `trained` takes them."""
-    effector = load_end_effector(trained)
-    return as_held_by(problem.grasps, problem.workcell.end_effector, effector)
 
 
 def _cell(rows: list[Row], name: str, trained: str, tested: str) -> float | None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import joblib
 
+from regrasp_opt.benchmarks.parallel import in_parallel
 from regrasp_opt.benchmarks.subjects import problem_key
 from regrasp_opt.energy.calibration import calibrate
 from regrasp_opt.energy.features import pair_features
@@ -66,14 +67,13 @@ def trained_energies(
         label_pairs(requests[i].labelling, requests[i].samples, folder=_labels(), jobs=jobs)
     done = len(requests) - len(missing)
     if missing:
-        with joblib.Parallel(n_jobs=jobs, return_as="generator") as parallel:
-            work = (joblib.delayed(_train)(replace(requests[i], problem=replace(requests[i].problem))) for i in missing)
-            for i, energy in zip(missing, parallel(work), strict=True):
-                save_energy(energy, requests[i].path)
-                energies[i] = energy
-                done += 1
-                if progress is not None:
-                    progress(done, len(requests))
+        bare = {i: replace(requests[i], problem=replace(requests[i].problem)) for i in missing}
+        for i, energy in in_parallel((joblib.delayed(_train)(i, request) for i, request in bare.items()), jobs):
+            save_energy(energy, requests[i].path)
+            energies[i] = energy
+            done += 1
+            if progress is not None:
+                progress(done, len(requests))
     return [energy for energy in energies if energy is not None]
 
 
@@ -91,11 +91,11 @@ def _stored(request: TrainingRequest) -> EnergyModel | None:
         return None
 
 
-def _train(request: TrainingRequest) -> EnergyModel:
+def _train(number: int, request: TrainingRequest) -> tuple[int, EnergyModel]:
     """Train and calibrate in a worker; the labels are read from disk, where `trained_energies` has put them."""
     pairs = label_pairs(request.labelling, request.samples, folder=_labels(), jobs=1)
     held_out = label_poses(request.labelling, HELD_OUT_POSES, jobs=1)
     grasps, options = request.problem.grasps, request.options
     features = pair_features(pairs.T, grasps.subset(pairs.grasp_ids), options.features, options.use_width)
     model = train(features, pairs.feasible, options)
-    return calibrate(model, GraspEnergy(model, grasps), held_out.T, held_out.feasible, request.seed)
+    return number, calibrate(model, GraspEnergy(model, grasps), held_out.T, held_out.feasible, request.seed)

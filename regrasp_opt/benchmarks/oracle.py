@@ -21,6 +21,7 @@ import joblib
 import numpy as np
 from scipy.sparse.csgraph import shortest_path
 
+from regrasp_opt.benchmarks.parallel import in_parallel
 from regrasp_opt.benchmarks.subjects import problem_key, resident
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, planar_transform
 from regrasp_opt.errors import OptionError
@@ -148,13 +149,12 @@ def build_oracle(
     if missing:
         bare = replace(problem)  # without the heavy parts that may be attached
         work = (joblib.delayed(_check_block)(bare, i, numbers[slice_of(i)], xi[slice_of(i)]) for i in missing)
-        with joblib.Parallel(n_jobs=jobs, return_as="generator_unordered") as parallel:
-            for i, block in parallel(work):
-                _write(paths[i], block)
-                stored[i] = block
-                done += 1
-                if progress is not None:
-                    progress(done, len(paths))
+        for i, block in in_parallel(work, jobs):
+            _write(paths[i], block)
+            stored[i] = block
+            done += 1
+            if progress is not None:
+                progress(done, len(paths))
     blocks = [block for block in stored if block is not None]
     return Oracle(numbers, xi, np.concatenate([b.feasible for b in blocks]), sum(b.seconds for b in blocks))
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import csv
 import json
 import logging
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from regrasp_opt.benchmarks.environment import git_revision
+from regrasp_opt.benchmarks.parallel import in_parallel
 from regrasp_opt.errors import OptionError, RegraspError
 from regrasp_opt.files import atomic_path, content_hash
 
@@ -90,17 +90,15 @@ def run_items(items: Sequence[Item], folder: Path, *, jobs: int = -1, quiet: boo
     stored = [_read(folder / item.file_name, item) for item in items]
     missing = [i for i, content in enumerate(stored) if content is None]
     revision = git_revision()
-    with progress_bar(quiet) as bar, warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="A worker stopped")  # joblib replaces workers that have grown
+    with progress_bar(quiet) as bar:
         task = bar.add_task("instances", total=len(items), completed=len(items) - len(missing))
         work = (joblib.delayed(_compute)(i, items[i]) for i in missing)
-        with joblib.Parallel(n_jobs=jobs, return_as="generator_unordered") as parallel:
-            for i, rows in parallel(work) if missing else ():
-                content = {"key": items[i].key, "revision": revision, "rows": rows}
-                if not any("error" in row for row in rows):
-                    _write(folder / items[i].file_name, content)
-                stored[i] = content
-                bar.advance(task)
+        for i, rows in in_parallel(work, jobs) if missing else ():
+            content = {"key": items[i].key, "revision": revision, "rows": rows}
+            if not any("error" in row for row in rows):
+                _write(folder / items[i].file_name, content)
+            stored[i] = content
+            bar.advance(task)
     contents = [content for content in stored if content is not None]
     rows = [row for content in contents for row in content["rows"]]
     return Results(rows, tuple(sorted({str(content["revision"]) for content in contents})))
@@ -159,27 +157,3 @@ def progress_bar(quiet: bool = False) -> Iterator[Progress]:
     )
     with Progress(*columns, console=console, disable=quiet or not console.is_terminal, transient=True) as bar:
         yield bar
-
-
-@contextmanager
-def dask_cluster(address: str | None) -> Iterator[None]:
-    """Let joblib use the Dask cluster at `address` inside the block; with None, its own processes.
-
-    Raises
-    ------
-    OptionError
-        If Dask is not installed or nothing answers at `address`.
-    """
-    if address is None:
-        yield
-        return
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise OptionError("Dask is not installed; run 'pip install distributed', or leave --dask out") from error
-    try:
-        client = Client(address, timeout="10s")
-    except (OSError, ValueError) as error:
-        raise OptionError(f"no Dask scheduler answers at '{address}': {error}") from error
-    with client, joblib.parallel_config(backend="dask"):
-        yield

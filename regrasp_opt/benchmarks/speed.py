@@ -23,10 +23,10 @@ from regrasp_opt.benchmarks import kernels
 from regrasp_opt.benchmarks.environment import environment
 from regrasp_opt.benchmarks.speed_page import performance_page
 from regrasp_opt.files import atomic_path
-from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import OBJECT_NAMES
-from regrasp_opt.planning import RegraspPlan, RegraspProblem, solve_sequence
+from regrasp_opt.planning import Recipe, RegraspPlan, RegraspProblem, solve_sequence
 from regrasp_opt.planning.tasks import Task, random_task
+from regrasp_opt.solvers import NlpRefiner
 
 THIN_GRASPS = 12
 """Grasps of the problems that need two or three regrasps."""
@@ -59,16 +59,13 @@ def plan_rows(name: str, count: int, langevin: int, tell: Callable[[str], None])
 def _deep_rows(problem: RegraspProblem, count: int, rng: np.random.Generator) -> list[Row]:
     """Return rows of plans with two or three regrasps, on problems with few grasps."""
     rows: list[Row] = []
-    for attempt in range(20):
+    finder = Recipe(NlpRefiner(), fallback=0)
+    for attempt in range(30):
         ids = rng.choice(len(problem.grasps), THIN_GRASPS, replace=False)
-        grasps: GraspSet = problem.grasps.subset(ids)
-        thin = RegraspProblem.load(problem.object, problem.workcell, grasps=grasps)
-        tasks = [random_task(thin, rng, needs_regrasp=True) for _ in range(40)]
-        deep = []
-        for task in tasks:
-            plan = solve_sequence(thin, task.start, task.goal, max_regrasps=3)
-            if plan.solved and plan.num_regrasps >= 2:
-                deep.append(task)
+        thin = RegraspProblem.load(problem.object, problem.workcell, grasps=problem.grasps.subset(ids))
+        tasks = [random_task(thin, rng, needs_regrasp=True) for _ in range(25)]
+        plans = [solve_sequence(thin, task.start, task.goal, finder, max_regrasps=3) for task in tasks]
+        deep = [task for task, plan in zip(tasks, plans, strict=True) if plan.solved and plan.num_regrasps >= 2]
         rows += [_timed(thin, task, "ipopt", 100 * attempt + k) for k, task in enumerate(deep)]
         if len(rows) >= count:
             break

@@ -126,8 +126,8 @@ def _curves(result: dict[str, Any]) -> str:
 
 def _checks(result: dict[str, float]) -> str:
     return (
-        f"{result['per_second']:,.0f} (pose, grasp) pairs a second with 2 processes on the bottle in `nova2-w`. A plain "
-        f"loop over the same {result['pairs']:,} pairs, with as many processes, reaches "
+        f"{result['per_second']:,.0f} (pose, grasp) pairs a second with 2 processes on the bottle in `nova2-w`. A "
+        f"plain loop over the same {result['pairs']:,} pairs, with as many processes, reaches "
         f"{result['plain_per_second']:,.0f}; {result['different_labels']} labels differ."
     )
 

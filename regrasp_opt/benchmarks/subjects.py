@@ -5,10 +5,11 @@ A mesh that cannot be used becomes a subject with an error instead of a problem;
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from regrasp_opt.errors import OptionError, RegraspError
+from regrasp_opt.errors import ModelError, OptionError, RegraspError
 from regrasp_opt.files import content_hash
 from regrasp_opt.objects import ObjectModel, load_object
 from regrasp_opt.objects.builtin import OBJECT_NAMES
@@ -21,6 +22,8 @@ from regrasp_opt.workcell import Workcell
 DEFAULT_WORKCELL = "nova2-w"
 _RESIDENTS = 4
 """Problems that a worker keeps, with their collision scenes and solvers."""
+
+logger = logging.getLogger(__name__)
 
 _residents: dict[str, RegraspProblem] = {}
 
@@ -104,16 +107,30 @@ def _subject(
 def prepared_problem(
     model: ObjectModel, cell: Workcell, *, jobs: int = -1, progress: Progress | None = None
 ) -> RegraspProblem:
-    """Return the problem of `model` in `cell`; its model is prepared first where there is none.
+    """Return the problem of `model` in `cell`; its model is prepared where there is none, or a broken one.
 
     Raises
     ------
     RegraspError
         If it cannot be prepared.
     """
-    if find_model(model, cell) is None:
+    problem = _stored_problem(model, cell)
+    if problem is None:
         prepare(model, cell, jobs=jobs, progress=progress)
-    return RegraspProblem.load(model, cell)
+        problem = RegraspProblem.load(model, cell)
+    return problem
+
+
+def _stored_problem(model: ObjectModel, cell: Workcell) -> RegraspProblem | None:
+    try:
+        if find_model(model, cell) is None:
+            return None
+        problem = RegraspProblem.load(model, cell)
+        _ = problem.energy
+    except ModelError as error:
+        logger.warning("%s; it is made again", error)
+        return None
+    return replace(problem)
 
 
 def problem_key(problem: RegraspProblem) -> str:

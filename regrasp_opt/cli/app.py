@@ -44,6 +44,8 @@ def run(arguments: list[str]) -> int:
         return _fail(str(error), error)
     except OSError as error:
         return _fail(f"{error.strerror or error}: {error.filename}" if error.filename else str(error), error)
+    except Exception as error:  # the last resort: a defect of ours must not spill a traceback either
+        return _fail(f"internal error ({type(error).__name__}: {error}); run again with --debug and report it", error)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
@@ -187,3 +189,34 @@ def export(
     from regrasp_opt.cli.export import run_export
 
     return run_export(model, to, out)
+
+
+@app.command()
+def bench(
+    experiment: Annotated[
+        str,
+        typer.Argument(
+            metavar="EXPERIMENT",
+            help="cost-sweep, one-step, unseen, cross-effector, multi-step, hard-tiers, refiners, ablations or speed.",
+        ),
+    ],
+    quick: Annotated[bool, typer.Option("--quick", help="Minutes instead of the paper's sizes.")] = False,
+    objects: Annotated[
+        Path | None, typer.Option(help="Folder of meshes to evaluate besides the built-in ones.")
+    ] = None,
+    jobs: Annotated[int, typer.Option(help="Worker processes; -1 uses all cores.")] = -1,
+    dask: Annotated[str | None, typer.Option(help="Address of a Dask scheduler whose workers to use.")] = None,
+    seed: SeedOption = 0,
+    out: Annotated[Path, typer.Option(help="Folder of the results; an interrupted run goes on there.")] = Path(
+        "benchmarks"
+    ),
+) -> int:
+    """Repeat an experiment of the paper, or one of ours, and write rows, a summary and a page. Resumes.
+
+    Example:
+
+    regrasp-opt bench one-step --quick --out results
+    """
+    from regrasp_opt.cli.bench import run_bench
+
+    return run_bench(experiment, out=out, quick=quick, objects=objects, jobs=jobs, dask=dask, seed=seed)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
@@ -15,10 +14,13 @@ from regrasp_opt.benchmarks.cross_effector import run_cross_effector
 from regrasp_opt.benchmarks.hard_tiers import run_hard_tiers
 from regrasp_opt.benchmarks.multi_step import run_multi_step
 from regrasp_opt.benchmarks.one_step import run_one_step, run_unseen
+from regrasp_opt.benchmarks.parallel import dask_cluster
 from regrasp_opt.benchmarks.refiners import run_refiners
 from regrasp_opt.benchmarks.report import Report, shown, write_document, write_report
-from regrasp_opt.benchmarks.runner import dask_cluster
 from regrasp_opt.benchmarks.session import Session
+from regrasp_opt.benchmarks.speed import run_speed
+from regrasp_opt.benchmarks.subjects import mesh_files
+from regrasp_opt.cli.output import make_console
 from regrasp_opt.errors import UnknownNameError
 
 EXPERIMENTS: dict[str, Callable[[Session], Report]] = {
@@ -32,6 +34,9 @@ EXPERIMENTS: dict[str, Callable[[Session], Report]] = {
     "ablations": run_ablations,
 }
 """The experiments by their names on the command line."""
+
+SPEED = "speed"
+"""The experiment that times the planner itself (docs/performance.md)."""
 
 DOCUMENT = "benchmarks.md"
 """Name of the file with the tables of all experiments in a folder."""
@@ -52,7 +57,7 @@ def run_bench(
     Parameters
     ----------
     name : str
-        One of `EXPERIMENTS`.
+        One of `EXPERIMENTS`, or `SPEED`, which knows neither workers nor seeds.
     out : Path
         Folder of all experiments; a run that was interrupted there goes on.
     quick : bool
@@ -69,8 +74,12 @@ def run_bench(
     RegraspError
         For an unknown experiment, a folder without meshes, or a scheduler that does not answer.
     """
+    if name == SPEED:
+        run_speed(out / SPEED, quick=quick, meshes=[] if objects is None else mesh_files(objects), tell=_tell)
+        print(f"written: {out / SPEED}")
+        return 0
     if name not in EXPERIMENTS:
-        raise UnknownNameError("experiment", name, EXPERIMENTS)
+        raise UnknownNameError("experiment", name, (*EXPERIMENTS, SPEED))
     session = Session(out, quick=quick, objects=objects, jobs=jobs, seed=seed)
     with dask_cluster(dask):
         report = EXPERIMENTS[name](session)
@@ -81,8 +90,12 @@ def run_bench(
     return 0
 
 
+def _tell(text: str) -> None:
+    make_console(stderr=True).print(text)
+
+
 def _print(report: Report, folder: Path) -> None:
-    console = Console(highlight=False)
+    console = make_console()
     for item in report.tables:
         table = Table(title=escape(item.title), title_justify="left", box=None, header_style="bold")
         for number, heading in enumerate(item.columns):

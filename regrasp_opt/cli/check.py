@@ -57,5 +57,5 @@ def run_check(path: Path, *, as_json: bool) -> int:
         console.print(f"[bold green]holds[/]: every one of the {len(plan.transitions)} transition(s) holds")
         return 0
     for text in problems:
-        console.print(f"[bold red]does not hold[/]: {text}", soft_wrap=True)
+        console.print(f"[bold red]does not hold[/]: {escape(text)}", soft_wrap=True)
     return 1

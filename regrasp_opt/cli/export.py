@@ -6,9 +6,14 @@ from pathlib import Path
 
 from regrasp_opt.energy.export import SUFFIXES, export_energy
 from regrasp_opt.energy.model import GraspEnergy
-from regrasp_opt.energy.storage import load_energy
 from regrasp_opt.errors import UnknownNameError
-from regrasp_opt.planning.model_store import ENERGY_FILES, REPORT_FILE, bundled_models, load_prepared_grasps
+from regrasp_opt.planning.model_store import (
+    REPORT_FILE,
+    bundled_models,
+    load_prepared_energy,
+    load_prepared_grasps,
+    read_report,
+)
 
 
 def run_export(model: Path, to: str, out: Path | None) -> int:
@@ -17,8 +22,10 @@ def run_export(model: Path, to: str, out: Path | None) -> int:
     folder = model if model.is_dir() else bundled.get(str(model))
     if folder is None:
         raise UnknownNameError("model", str(model), bundled)
-    energy = GraspEnergy(load_energy(folder / ENERGY_FILES["default"]), load_prepared_grasps(folder))
-    path = out or Path(f"{folder.name}{SUFFIXES[to]}")
+    energy = GraspEnergy(
+        load_prepared_energy(folder, "default", read_report(folder)["key"]), load_prepared_grasps(folder)
+    )
+    path = out or Path(f"{folder.resolve().name}{SUFFIXES[to]}")
     export_energy(energy, to, path)
     print(f"written: {path}")
     return 0

@@ -91,7 +91,7 @@ def _print(plan: RegraspPlan, written: list[Path]) -> None:
     console.print(f"[bold {colour}]{plan.status.name.lower()}[/]: {plan.status.value.removeprefix('solved: ')}")
     if plan.solved:
         console.print(
-            f"{problem.object.name} in {problem.workcell.name}: {plan.num_regrasps} regrasp(s), "
+            f"{escape(problem.object.name)} in {escape(problem.workcell.name)}: {plan.num_regrasps} regrasp(s), "
             f"J_seq {plan.cost:.2f}, {plan.timings['total']:.2f} s"
         )
         table = Table(box=None, header_style="bold")
@@ -104,4 +104,4 @@ def _print(plan: RegraspPlan, written: list[Path]) -> None:
             table.add_row(str(i), *ends, target, str(len(transition.grasp_ids)), clearance)
         console.print(table)
     for path in written:
-        console.print(f"written: {path}")
+        console.print(f"written: {path}", markup=False, soft_wrap=True)

@@ -61,7 +61,7 @@ def run_prepare(request: PrepareRequest, *, as_json: bool) -> int:
         return 0
     console = make_console()
     console.print(
-        f"[bold green]prepared[/] {model.name} for {workcell.name}: {report['grasps']} grasps, "
+        f"[bold green]prepared[/] {escape(model.name)} for {escape(workcell.name)}: {report['grasps']} grasps, "
         f"{report['placements']} placements, {report['feasible_pairs']} feasible of {report['pairs']} pairs"
     )
     table = Table(box=None, header_style="bold")
@@ -74,5 +74,5 @@ def run_prepare(request: PrepareRequest, *, as_json: bool) -> int:
     bins = report["held_out"]["default"]["reliability"]
     pairs = ", ".join(f"{b['predicted']:.2f} -> {b['observed']:.2f}" for b in bins)
     console.print(f"reliability (predicted -> observed): {pairs}")
-    console.print(f"written: {folder}")
+    console.print(f"written: {folder}", markup=False, soft_wrap=True)
     return 0

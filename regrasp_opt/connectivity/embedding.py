@@ -61,14 +61,19 @@ class ProblemEnergy(GraspEnergy):
         PoseError, OptionError
             If an end is neither a rigid pose nor G energies, or a placement does not exist.
         """
-        numbers = np.asarray(placements, dtype=np.int64).reshape(-1)
-        if ((numbers < 0) | (numbers >= len(self.placements))).any():
+        numbers = np.asarray(placements).reshape(-1)
+        if numbers.size == 0:
+            numbers = numbers.astype(np.int64)
+        if numbers.dtype.kind not in "iu" or ((numbers < 0) | (numbers >= len(self.placements))).any():
             raise OptionError(f"placements are {numbers.tolist()}; give numbers from 0 to {len(self.placements) - 1}")
         ends = self._end_energies(start, "start"), self._end_energies(goal, "goal")
         return connectivity_functions(self, options or CostOptions(), *ends, self.placements[numbers])
 
     def _end_energies(self, end: Any, name: str) -> FloatArray:
-        array = np.asarray(end, dtype=np.float64)
+        try:
+            array = np.asarray(end, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise OptionError(f"the {name} is neither a 4x4 pose nor {len(self)} energies") from error
         if array.shape == (len(self),):
             if not np.isfinite(array).all():
                 raise OptionError(f"the {name} energies hold NaN or infinity; give finite numbers")

@@ -7,6 +7,7 @@ reach (vectorised), inverse kinematics, then Coal on each branch until one is fr
 
 from __future__ import annotations
 
+import threading
 from typing import NamedTuple
 
 import coal
@@ -16,6 +17,7 @@ from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
 from regrasp_opt.errors import GraspError
 from regrasp_opt.feasibility.geometry import mesh_geometry, static_bodies
 from regrasp_opt.feasibility.scene import CollisionScene
+from regrasp_opt.feasibility.standing import standing_problem
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.shapes import surface_points
@@ -50,6 +52,8 @@ class FeasibilityChecker:
             raise GraspError("the grasp set is empty; sample or load at least one grasp")
         self.workcell = workcell
         self.grasps = grasps
+        self._lock = threading.RLock()  # the scene is arranged for one pose and grasp at a time
+        self._vertices = model.vertices
         self.scene = CollisionScene(model, workcell, grasps)
         effector = workcell.end_effector
         self._object = mesh_geometry(model.vertices, model.faces)
@@ -82,11 +86,15 @@ class FeasibilityChecker:
 
     def feasible_pairs(self, T: FloatArray, grasp_ids: IntArray) -> BoolArray:
         """Return the feasibility (M,) of M pairs of object poses `T` (M, 4, 4) and `grasp_ids` (M,)."""
+        with self._lock:
+            return self._feasible_pairs(T, grasp_ids)
+
+    def _feasible_pairs(self, T: FloatArray, grasp_ids: IntArray) -> BoolArray:
         result = np.zeros(len(grasp_ids), dtype=bool)
         open_pairs = np.flatnonzero(~self._blocked(T))
         if len(open_pairs) < len(result):
             if len(open_pairs):
-                result[open_pairs] = self.feasible_pairs(T[open_pairs], grasp_ids[open_pairs])
+                result[open_pairs] = self._feasible_pairs(T[open_pairs], grasp_ids[open_pairs])
             return result
         branches = self.branches(T, grasp_ids)
         pair_before = -1
@@ -102,26 +110,31 @@ class FeasibilityChecker:
     def configurations(self, T: FloatArray, grasp_ids: IntArray) -> list[FloatArray]:
         """Return all feasible arm configurations (M, dof) [rad] of each grasp (K,) at object pose `T` (4, 4)."""
         branches = self.branches(np.broadcast_to(T, (len(grasp_ids), 4, 4)), grasp_ids)
+        apart = not self.object_collides(T)
         found = []
         for k, grasp_id in enumerate(grasp_ids.tolist()):
-            self._arrange(T, grasp_id)
-            free = [q for q in branches.q[branches.pair == k] if not self.scene.collides(q)]
+            free = [q for q in branches.q[branches.pair == k] if apart and self.is_free(T, grasp_id, q)]
             found.append(np.array(free).reshape(len(free), self.workcell.robot.dof))
         return found
 
     def is_free(self, T: FloatArray, grasp_id: int, q: FloatArray) -> bool:
         """Return whether the arm holds the grasp at configuration `q` (dof,) without collision."""
-        self._arrange(T, grasp_id)
-        return not self.scene.collides(q)
+        with self._lock:
+            self._arrange(T, grasp_id)
+            return not self.scene.collides(q)
 
     def clearance(self, T: FloatArray, grasp_id: int, q: FloatArray) -> float:
         """Return the least distance of arm and gripper to table, obstacles and object [m]; negative on overlap."""
-        self._arrange(T, grasp_id)
-        return self.scene.clearance(q)
+        with self._lock:
+            self._arrange(T, grasp_id)
+            return self.scene.clearance(q)
 
     def object_collides(self, T: FloatArray) -> bool:
-        """Return whether the object at pose `T` (4, 4) is too near to an obstacle or the robot's base."""
-        return self.object_overlaps(T, self.workcell.clearance.gripper) is not None
+        """Return whether the object at `T` (4, 4) is too near to something fixed, in the table or over its edge."""
+        return (
+            standing_problem(self._vertices @ T[:3, :3].T + T[:3, 3], self.workcell) is not None
+            or self.object_overlaps(T, self.workcell.clearance.gripper) is not None
+        )
 
     def object_overlaps(self, T: FloatArray, clearance: float) -> str | None:
         """Return what obstacle or base is nearer than `clearance` [m] to the object at `T` (4, 4), or None."""

@@ -35,7 +35,6 @@ class CollisionScene:
         self.geometry = robot.collision.copy()
         self._T_base_world = pin.SE3(workcell.T_base_world)
         arm = range(self.geometry.ngeoms)
-        self.base_bodies = [i for i in arm if self._joint(i) == _WORLD]
         moving = [i for i in arm if self._joint(i) != _WORLD]
 
         tip = robot.model.frames[robot.model.getFrameId(robot.tip_frame)]

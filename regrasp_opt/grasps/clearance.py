@@ -13,6 +13,8 @@ import numpy as np
 
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
 from regrasp_opt.end_effectors import EndEffector
+from regrasp_opt.grasps.grasp_set import GraspSet
+from regrasp_opt.objects import ObjectModel
 from regrasp_opt.shapes import Box, Cylinder, Shape
 
 CONTACT_TOLERANCE = 0.001
@@ -59,6 +61,12 @@ class GripperClearance:
             placed = coal.Transform3s(poses[index, :3, :3], poses[index, :3, 3])
             hit = coal.collide(self._object, origin, geometry, placed, request, coal.CollisionResult())
             free[index] = not hit
+
+
+def gripper_free(grasps: GraspSet, model: ObjectModel, end_effector: EndEffector) -> BoolArray:
+    """Return in which grasps (G,) body and fingers are clear of the object, as the sampler demands it."""
+    clearance = GripperClearance(model.vertices, model.faces, end_effector)
+    return clearance.body_free(grasps.T_object_tcp) & clearance.fingers_free(grasps.T_object_tcp, grasps.width)
 
 
 def _coal_mesh(vertices: FloatArray, faces: IntArray) -> coal.BVHModelOBBRSS:

@@ -8,14 +8,12 @@ import numpy as np
 
 from regrasp_opt.conventions import FloatArray, as_pose
 from regrasp_opt.errors import PoseError
+from regrasp_opt.feasibility.standing import resting_problem
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.workcell import Workcell
 
 if TYPE_CHECKING:
     from regrasp_opt.planning.problem import RegraspProblem
-
-RESTING_TOLERANCE = 1e-3
-"""How far the lowest point of a start or goal may be from the table top [m]."""
 
 
 def checked_end(T: Any, name: str, problem: RegraspProblem) -> FloatArray:
@@ -24,17 +22,16 @@ def checked_end(T: Any, name: str, problem: RegraspProblem) -> FloatArray:
     Raises
     ------
     PoseError
-        If it is no rigid transform, floats above the table or sinks into it, overlaps an obstacle or the robot's
-        base, or lies outside the workspace or the arm's reach; `name` (start or goal) is in the message.
+        If it is no rigid transform, floats above the table, sinks into it, stands over its edge or would tip over,
+        overlaps an obstacle or the robot's base, or lies outside the workspace or the arm's reach; `name` (start or
+        goal) is in the message.
     """
     T = as_pose(T, f"{name} pose")
     vertices = problem.object.vertices @ T[:3, :3].T + T[:3, 3]
     _check_workspace(T, name, problem.object, problem.workcell, vertices)
-    gap = float(vertices[:, 2].min()) - problem.workcell.table.height
-    if gap > RESTING_TOLERANCE:
-        raise PoseError(f"the object floats {gap * 1e3:.1f} mm above the table at the {name} pose; lower it")
-    if gap < -RESTING_TOLERANCE:
-        raise PoseError(f"the object sinks {-gap * 1e3:.1f} mm into the table at the {name} pose; raise it")
+    problem_at_rest = resting_problem(vertices, _center(T, problem.object), problem.workcell)
+    if problem_at_rest is not None:
+        raise PoseError(f"the object {problem_at_rest} at the {name} pose; put it down in a stable placement")
     overlapped = problem.checker.object_overlaps(T, 0.0)
     if overlapped is not None:
         raise PoseError(f"the object overlaps {overlapped} at the {name} pose; move it away")
@@ -42,7 +39,7 @@ def checked_end(T: Any, name: str, problem: RegraspProblem) -> FloatArray:
 
 
 def _check_workspace(T: FloatArray, name: str, model: ObjectModel, workcell: Workcell, vertices: FloatArray) -> None:
-    center = (T[:3, :3] @ model.center_of_mass + T[:3, 3])[:2]
+    center = _center(T, model)[:2]
     low, high = workcell.bounds.array
     if (center < low - 1e-9).any() or (center > high + 1e-9).any():
         raise PoseError(
@@ -56,3 +53,9 @@ def _check_workspace(T: FloatArray, name: str, model: ObjectModel, workcell: Wor
             f"the {name} pose is out of reach: the object is {distance:.2f} m from the robot's base, "
             f"which reaches {reach:.2f} m; move it nearer"
         )
+
+
+def _center(T: FloatArray, model: ObjectModel) -> FloatArray:
+    """Return the object's centre of mass (3,) in the world."""
+    center: FloatArray = T[:3, :3] @ model.center_of_mass + T[:3, 3]
+    return center

@@ -113,6 +113,8 @@ def load_prepared_energy(folder: Path, preset: str, key: str) -> EnergyModel:
     model = load_energy(path)
     if model.metadata.get("key") != key:
         raise ModelError(f"'{path}' was trained for another object or workcell; run 'regrasp-opt prepare' again")
+    if model.metadata.get("grasps") != read_report(folder).get("grasps_fingerprint"):
+        raise ModelError(f"'{path}' was trained with another grasp set; run 'regrasp-opt prepare' again")
     return model
 
 

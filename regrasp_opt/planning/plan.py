@@ -40,7 +40,7 @@ class Transition:
         Joint configurations [rad] that hold the grasp at the first and at the second pose, as near to each other as
         the arm's branches allow.
     clearance : (K,) float64
-        Least distance between any two bodies that must not touch, over both configurations [m].
+        Least distance of arm and gripper to table and obstacles, and of the arm to the object, over both [m].
     """
 
     grasp_ids: IntArray
@@ -67,7 +67,8 @@ class RegraspPlan:
     transitions : tuple of Transition
         N+1 of them; empty without a plan.
     cost : float
-        ``J_seq`` (Eq. 5) with exact feasibility at both ends; NaN without a plan.
+        ``J_seq`` (Eq. 5), with exact feasibility at both ends unless the recipe asks for learned energies; NaN without
+        a plan.
     timings : dict
         Seconds spent, by part.
     refiner_stats : list of dict
@@ -98,7 +99,7 @@ class RegraspPlan:
         return self.status is Status.SOLVED
 
     def residuals(self) -> Residuals:
-        """Recompute every claim of the plan from problem data alone, by a path that shares no code with the planner.
+        """Recompute what the plan claims to be feasible from problem data alone, apart from the planner's checks.
 
         Returns
         -------

@@ -29,7 +29,7 @@ from regrasp_opt.feasibility.dataset import (
     label_pairs,
     label_poses,
 )
-from regrasp_opt.files import data_home
+from regrasp_opt.files import data_home, replaced_folder
 from regrasp_opt.grasps import GraspSet, sample_grasps
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.planning.model_store import (
@@ -39,6 +39,7 @@ from regrasp_opt.planning.model_store import (
     model_key,
     write_report,
 )
+from regrasp_opt.planning.problem import command_arguments
 from regrasp_opt.workcell import Workcell
 
 DEFAULT_SAMPLES = 20_000
@@ -88,6 +89,8 @@ def prepare(
     """
     if samples < 100 or num_grasps < 1:
         raise OptionError(f"samples is {samples} and num_grasps {num_grasps}; give at least 100 and 1")
+    if jobs == 0:
+        raise OptionError("jobs is 0; give a number of worker processes, or -1 for all cores")
     if not model.placements:
         raise GraspError(f"'{model.name}' has no stable placement on a table; check the mesh's shape and scale")
     seed = as_seed(seed)
@@ -121,14 +124,11 @@ def prepare(
     times["training"] = time.perf_counter() - began
 
     key = model_key(model, workcell)
-    grasps.save(folder / GRASPS_FILE)
-    for name, energy in energies.items():
-        stamped = replace(energy, metadata={**energy.metadata, "key": key, "grasps": grasps.fingerprint()})
-        save_energy(stamped, folder / ENERGY_FILES[name])
     report = {
         "key": key,
         "grasps_fingerprint": grasps.fingerprint(),
-        "command": _command(model, workcell, samples, num_grasps, seed),
+        "command": f"regrasp-opt prepare {command_arguments(model, workcell)} --samples {samples} "
+        f"--grasps {num_grasps} --seed {seed}",
         "object": model.name,
         "workcell": workcell.name,
         "seed": seed,
@@ -140,14 +140,13 @@ def prepare(
         "threshold": {name: energy.threshold for name, energy in energies.items()},
         "times": times,
     }
-    write_report(folder, report)
+    with replaced_folder(folder) as fresh:
+        grasps.save(fresh / GRASPS_FILE)
+        for name, energy in energies.items():
+            stamped = replace(energy, metadata={**energy.metadata, "key": key, "grasps": grasps.fingerprint()})
+            save_energy(stamped, fresh / ENERGY_FILES[name])
+        write_report(fresh, report)
     return folder, report
-
-
-def _command(model: ObjectModel, workcell: Workcell, samples: int, num_grasps: int, seed: int) -> str:
-    """Return the command line that makes this model."""
-    body, cell = (item.name if item.source == "built-in" else item.source for item in (model, workcell))
-    return f"regrasp-opt prepare {body} --workcell {cell} --samples {samples} --grasps {num_grasps} --seed {seed}"
 
 
 def _train_and_calibrate(

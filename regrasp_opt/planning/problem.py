@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,12 +13,18 @@ import numpy as np
 
 from regrasp_opt.connectivity.embedding import ProblemEnergy
 from regrasp_opt.conventions import BoolArray, FloatArray, as_pose, planar_transform, translation
-from regrasp_opt.errors import GraspError, ModelError, PoseError
+from regrasp_opt.errors import GraspError, ModelError, PoseError, UnknownNameError
 from regrasp_opt.feasibility import FeasibilityChecker
 from regrasp_opt.files import data_home
-from regrasp_opt.grasps import GraspSet, sample_grasps
+from regrasp_opt.grasps import GraspSet, gripper_free, sample_grasps
 from regrasp_opt.objects import ObjectModel, Placement, load_object
-from regrasp_opt.planning.model_store import find_model, load_prepared_energy, load_prepared_grasps, model_key
+from regrasp_opt.planning.model_store import (
+    ENERGY_FILES,
+    find_model,
+    load_prepared_energy,
+    load_prepared_grasps,
+    model_key,
+)
 from regrasp_opt.solvers import PoseLattice
 from regrasp_opt.workcell import Workcell, load_workcell
 
@@ -84,6 +91,8 @@ class RegraspProblem:
         RegraspError
             For an unknown name, a broken mesh, workcell or model, or an object that no grasp fits.
         """
+        if preset not in ENERGY_FILES:
+            raise UnknownNameError("preset", preset, ENERGY_FILES)
         body = object if isinstance(object, ObjectModel) else load_object(object, scale=scale, repair=repair)
         if not isinstance(workcell, Workcell):
             workcell = load_workcell(workcell, end_effector=end_effector)
@@ -92,7 +101,9 @@ class RegraspProblem:
                 f"'{body.name}' has no stable placement on a table, so it cannot be planned; check its shape and scale"
             )
         folder = find_model(body, workcell, None if model is None else Path(model))
-        if grasps is None:
+        if grasps is not None:
+            _check_grasps(grasps, body, workcell)
+        else:
             if folder is not None:
                 grasps = load_prepared_grasps(folder)
             else:
@@ -123,7 +134,7 @@ class RegraspProblem:
         if self.model_folder is None:
             raise ModelError(
                 f"no model was prepared for '{self.object.name}' in workcell '{self.workcell.name}'; run "
-                f"'regrasp-opt prepare {_argument(self.object)} --workcell {_argument(self.workcell)}'"
+                f"'regrasp-opt prepare {command_arguments(self.object, self.workcell)}'"
             )
         model = load_prepared_energy(self.model_folder, self.preset, model_key(self.object, self.workcell))
         return ProblemEnergy(model, self.grasps, self.placement_poses)
@@ -158,6 +169,29 @@ class RegraspProblem:
         return self.checker.feasible(as_pose(T))
 
 
-def _argument(item: ObjectModel | Workcell) -> str:
-    """Return what names `item` on the command line."""
-    return item.name if item.source == "built-in" else item.source
+def _check_grasps(grasps: GraspSet, body: ObjectModel, workcell: Workcell) -> None:
+    """Raise a GraspError unless `grasps`, which somebody gave, are free of the object and within the jaw's stroke."""
+    effector = workcell.end_effector
+    if len(grasps) == 0:
+        raise GraspError("the grasp set is empty; sample or load at least one grasp")
+    if grasps.kind != effector.kind:
+        raise GraspError(f"the grasps are for a {grasps.kind} end-effector, which '{effector.name}' is not")
+    if effector.kind == "parallel" and (grasps.width + 2 * effector.pre_opening > effector.max_opening + 1e-9).any():
+        raise GraspError(f"a grasp is wider than '{effector.name}' opens; sample grasps for this end-effector")
+    free = gripper_free(grasps, body, effector)
+    if not free.all():
+        bad = int((~free).argmax())
+        raise GraspError(f"in grasp {bad} the gripper overlaps the object; sample grasps for both together")
+
+
+def command_arguments(body: ObjectModel, workcell: Workcell) -> str:
+    """Return how `prepare` is told of an object and a workcell on the command line."""
+    parts = [body.name if body.source == "built-in" else body.source]
+    parts += ["--workcell", workcell.name if workcell.source == "built-in" else workcell.source]
+    if workcell.end_effector_override is not None:
+        parts += ["--end-effector", workcell.end_effector_override]
+    if body.scale != 1.0:
+        parts += ["--scale", f"{body.scale:g}"]
+    if body.repair:
+        parts.append("--repair")
+    return shlex.join(parts)

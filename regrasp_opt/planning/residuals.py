@@ -1,8 +1,9 @@
-"""Proof of a plan from problem data alone, along a path that shares no code with the planner's checks.
+"""Proof of a plan from problem data alone, along a path apart from the planner's checks.
 
 Forward kinematics come from Pinocchio's own algorithm on the robot's URDF model, distances from one `coal.distance`
 call for each pair of bodies, with the fingers where they stand at the grasp width and at the width they approach
-with. The planner uses inverse kinematics, swept fingers and batched collision tests instead.
+with. The planner uses inverse kinematics, swept fingers and batched collision tests instead. The bodies themselves,
+and which links are neighbours, are the problem's. A plan's cost is a record and is not recomputed.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from regrasp_opt.conventions import (
     FK_ROTATION_TOLERANCE,
     JOINT_LIMIT_TOLERANCE,
     PLACEMENT_TOLERANCE,
+    RESTING_TOLERANCE,
     FloatArray,
     invert,
     pose_distance,
@@ -94,6 +96,7 @@ def compute_residuals(plan: RegraspPlan) -> Residuals:
     problems: list[str] = []
     if plan.solved and len(plan.transitions) != len(plan.poses) - 1:
         problems.append(f"the plan has {len(plan.poses)} poses but {len(plan.transitions)} transitions")
+    problems += _end_violations(plan)
     placement_error = _placement_errors(plan, problems)
     transitions = []
     for i, transition in enumerate(plan.transitions):
@@ -102,6 +105,21 @@ def compute_residuals(plan: RegraspPlan) -> Residuals:
         transitions.append(residuals)
         problems += [f"transition {i}: {text}" for text in _violations(transition, residuals)]
     return Residuals(tuple(transitions), placement_error, tuple(problems))
+
+
+def _end_violations(plan: RegraspPlan) -> list[str]:
+    """Return what keeps the object from lying on the table at start and goal, inside the workspace."""
+    body, cell = plan.problem.object, plan.problem.workcell
+    texts = []
+    for name, T in (("start", plan.poses[0]), ("goal", plan.poses[-1])):
+        lowest = float((body.vertices @ T[2, :3]).min() + T[2, 3])
+        if abs(lowest - cell.table.height) > RESTING_TOLERANCE + PLACEMENT_TOLERANCE:
+            texts.append(f"the object does not touch the table at the {name}: {lowest - cell.table.height:.2g} m off")
+        center = (T[:3, :3] @ body.center_of_mass + T[:3, 3])[:2]
+        low, high = cell.bounds.array
+        if (center < low - PLACEMENT_TOLERANCE).any() or (center > high + PLACEMENT_TOLERANCE).any():
+            texts.append(f"the {name} lies outside the workspace")
+    return texts
 
 
 def _placement_errors(plan: RegraspPlan, problems: list[str]) -> FloatArray:
@@ -205,10 +223,10 @@ class _Scene:
         pairs += [(a, b, clearance.gripper) for a in gripper for b in self.fixed]
         surroundings = len(pairs)
         pairs += [(a, held, 0.0) for a in (*palm, *opened)]
-        pairs += [(held, b, 0.0) for b, joint in zip(arm, joints, strict=True) if joint == 0]
+        pairs += [(held, b, clearance.gripper) for b, joint in zip(arm, joints, strict=True) if joint == 0]
         pairs += [(a, b, clearance.self_collision) for a in gripper for b in before_tip]
         pairs += [(arm[i], arm[j], clearance.self_collision) for i, j in cell.robot.self_collision_pairs()]
-        pairs += [(held, b, 0.0) for b in self.fixed[1:]]
+        pairs += [(held, b, clearance.gripper) for b in self.fixed[1:]]
         distances = np.array([_distance(a, b) for a, b, _ in pairs])
         margins = distances - np.array([required for *_, required in pairs])
         worst = int(np.argmin(margins))

@@ -75,7 +75,8 @@ def solve_sequence(
         If no energy was prepared for the problem.
     """
     recipe, seed = as_recipe(refiner), as_seed(seed)
-    if not isinstance(max_regrasps, (int, np.integer)) or not 0 <= max_regrasps <= MAX_REGRASPS:
+    whole = isinstance(max_regrasps, (int, np.integer)) and not isinstance(max_regrasps, bool)
+    if not whole or not 0 <= max_regrasps <= MAX_REGRASPS:
         raise OptionError(f"max_regrasps is {max_regrasps}; give a whole number from 0 to {MAX_REGRASPS}")
     if time_limit is not None and not time_limit > 0:
         raise OptionError(f"time_limit is {time_limit}; give a positive number of seconds")
@@ -181,7 +182,8 @@ class _Search:
             entry = {"num_regrasps": num_regrasps, "refiner": recipe.refiner.name, **refined.stats}
             self.stats.append(entry)
             ranked = refined.candidates.best(recipe.proved)
-            self.cheapest = ranked.take(slice(0, 1))
+            if len(ranked) and (self.cheapest is None or ranked.cost[0] < self.cheapest.cost[0]):
+                self.cheapest = ranked.take(slice(0, 1))
             if recipe.check == "threshold":
                 return self._by_threshold(objective, ranked, entry)
             found = self._first_proved(objective, ranked, entry)

@@ -52,7 +52,7 @@ def collision_at_home(workcell: Workcell) -> tuple[str, str] | None:
     )
     tool = [_body(shape, robot.dof + 1, T_world_tip) for shape in tool_shapes]
     fixed = [_body(shape, 0, np.eye(4)) for shape in (workcell.table.shape, *workcell.obstacles)]
-    return _first_hit([*links, *tool], fixed, 1) or _first_hit(links, tool, 3)
+    return _first_hit([*links, *tool], fixed, 1) or _first_hit(links, tool, 2)
 
 
 def _first_hit(bodies: list[Body], others: list[Body], apart: int) -> tuple[str, str] | None:

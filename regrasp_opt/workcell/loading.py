@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import sys
-from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
@@ -88,12 +87,17 @@ def _build(content: WorkcellFile, path: Path, source: str, override: str | os.Pa
         bounds=Bounds(workspace.x, workspace.y),
         clearance=Clearance(margins.arm, margins.gripper, margins.self_collision),
         source=source,
-        end_effector_override=None if override is None else str(override),
+        end_effector_override=_override(override),
     )
-    if override is not None and workcell.end_effector.name != Path(content.end_effector.model).stem:
-        workcell = replace(workcell, name=f"{workcell.name}+{workcell.end_effector.name}")
     _check(workcell, path)
     return workcell
+
+
+def _override(end_effector: str | os.PathLike[str] | None) -> str | None:
+    """Return what loads the same end-effector from any folder."""
+    if end_effector is None or str(end_effector) in END_EFFECTOR_NAMES:
+        return None if end_effector is None else str(end_effector)
+    return str(Path(end_effector).resolve())
 
 
 def _check(workcell: Workcell, path: Path) -> None:

@@ -125,7 +125,7 @@ def test_robot_and_end_effector_files_are_relative_to_the_workcell(write, tmp_pa
 
 def test_the_end_effector_can_be_replaced():
     cell = load_workcell("nova2-w", end_effector="r85")
-    assert (cell.name, cell.end_effector_override) == ("nova2-w+r85", "r85")
+    assert (cell.name, cell.end_effector_override) == ("nova2-w", "r85")
     assert cell.fingerprint() == load_workcell("nova2-r85").fingerprint()
     same = load_workcell("nova2-w", end_effector="w")
     assert same.name == "nova2-w"

@@ -1,0 +1,54 @@
+"""Whether an object stands on the table: not in it, not over its edge, and, at rest, not about to tip over."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from regrasp_opt.conventions import RESTING_TOLERANCE, FloatArray
+from regrasp_opt.workcell import Workcell
+
+
+def standing_problem(vertices: FloatArray, workcell: Workcell) -> str | None:
+    """Return what keeps an object with `vertices` (V, 3), in the world, from being there, or None.
+
+    It may be above the table, but neither in it by more than `RESTING_TOLERANCE` nor, where it stands on the table,
+    over the edge.
+    """
+    table = workcell.table
+    gap = float(vertices[:, 2].min()) - table.height
+    if gap < -RESTING_TOLERANCE:
+        return f"sinks {-gap * 1e3:.1f} mm into the table"
+    support = _support(vertices, table.height)
+    if len(support) and (np.abs(support - table.center) > table.size / 2).any():
+        return "stands over the edge of the table"
+    return None
+
+
+def resting_problem(vertices: FloatArray, center_of_mass: FloatArray, workcell: Workcell) -> str | None:
+    """Return what keeps an object with `vertices` (V, 3) and `center_of_mass` (3,) from resting there, or None."""
+    problem = standing_problem(vertices, workcell)
+    if problem is not None:
+        return problem
+    gap = float(vertices[:, 2].min()) - workcell.table.height
+    if gap > RESTING_TOLERANCE:
+        return f"floats {gap * 1e3:.1f} mm above the table"
+    if not _inside_hull(center_of_mass[:2], _support(vertices, workcell.table.height)):
+        return "would tip over"
+    return None
+
+
+def _support(vertices: FloatArray, height: float) -> FloatArray:
+    """Return the points (S, 2) where the object touches a table of `height`."""
+    return vertices[vertices[:, 2] - height <= RESTING_TOLERANCE, :2]
+
+
+def _inside_hull(point: FloatArray, points: FloatArray) -> bool:
+    """Return whether `point` (2,) lies in the convex hull of `points` (S, 2); never, where that has no area."""
+    if len(points) < 3:
+        return False
+    try:
+        hull = ConvexHull(points)
+    except QhullError:
+        return False
+    return bool((hull.equations[:, :2] @ point + hull.equations[:, 2] <= 0).all())

@@ -1,0 +1,154 @@
+"""Every experiment, at a size of seconds, on the bottle and on a folder with a broken mesh."""
+
+import json
+
+import pytest
+
+from regrasp_opt.benchmarks import (
+    ablations,
+    cost_sweep,
+    cross_effector,
+    hard_tiers,
+    models,
+    multi_step,
+    one_step,
+    refiners,
+)
+from regrasp_opt.benchmarks import session as session_module
+from regrasp_opt.benchmarks.oracle import Resolution
+from regrasp_opt.benchmarks.paper import CROSS_EFFECTOR, END_EFFECTORS, MULTI_STEP, ONE_STEP
+from regrasp_opt.benchmarks.report import write_report
+from regrasp_opt.benchmarks.session import Session
+from regrasp_opt.cli.app import run
+from regrasp_opt.cli.bench import EXPERIMENTS
+
+COARSE = Resolution(0.15, 4)
+
+
+@pytest.fixture
+def session(tmp_path, monkeypatch):
+    monkeypatch.setattr(session_module, "QUICK_GRID", COARSE)
+    return Session(tmp_path, quick=True, names=("bottle",), jobs=1, quiet=True)
+
+
+def check(report, session):
+    """Write the report, and return its measured rows."""
+    summary = write_report(report, session.folder / report.name)
+    assert summary["errors"] == [] and all(table["rows"] or table["note"] for table in summary["tables"])
+    assert set(summary["instances"]) and len(summary["revisions"]) == 1
+    return report.rows
+
+
+def test_one_step(session, monkeypatch):
+    monkeypatch.setattr(one_step, "PAIRS", {True: 1})
+    monkeypatch.setattr(one_step, "PER_PLACEMENT", {True: 40})
+    kept = {name: one_step.METHODS[name] for name in ("ours J",)}
+    monkeypatch.setattr(one_step, "METHODS", kept)
+    rows = check(one_step.run_one_step(session), session)
+    ours = [row for row in rows if row.get("method") == "ours J" and "sv" in row]
+    assert [row["k_top"] for row in ours] == list(one_step.K_TOP)
+    assert all(row["distinct"] == row["k_top"] and not row["direct"] for row in ours)
+    assert all(row["sv"] > 0.9 for row in ours if row["k_top"] <= 50)
+    assert one_step.run_one_step(session).rows == rows
+
+
+def test_unseen_grasps(session, monkeypatch):
+    monkeypatch.setattr(one_step, "PAIRS", {True: 1})
+    monkeypatch.setattr(one_step, "PER_PLACEMENT", {True: 40})
+    monkeypatch.setattr(one_step, "UNSEEN_METHODS", ("ours J",))
+    rows = check(one_step.run_unseen(session), session)
+    assert max(row["sv"] for row in rows) > 0.8
+
+
+def test_cost_sweep(session, monkeypatch):
+    monkeypatch.setattr(cost_sweep, "SUMS", {True: 2})
+    monkeypatch.setattr(cost_sweep, "PAIRS", {True: 1})
+    rows = check(cost_sweep.run_cost_sweep(session), session)
+    steps = [row for row in rows if row.get("grasps") == 200]
+    assert [row["step"] for row in steps] == list(range(cost_sweep.STEPS))
+    # no grasp is shared by the ends of a pair that needs a regrasp
+    assert all(row["shared_all"] == 0 for row in steps)
+    assert steps[0]["shared_goal"] > 0 and steps[-1]["shared_start"] > 0
+    assert all(row["J+"] <= row["J"] + 1e-9 for row in steps)
+
+
+def test_multi_step(session, monkeypatch):
+    monkeypatch.setattr(multi_step, "PAIRS", {True: 2})
+    rows = check(multi_step.run_multi_step(session), session)
+    ours = [row for row in rows if row["planner"] == "ours"]
+    assert len(ours) == 2 and all(row["solved"] for row in ours)
+    assert all(row["num_regrasps"] >= 1 and row["bottleneck"] >= 1 and row["clearance_mm"] > 0 for row in ours)
+
+
+def test_hard_tiers_and_refiners_share_their_instances(session, monkeypatch):
+    monkeypatch.setattr(hard_tiers, "TIME_LIMIT", 10.0)
+    monkeypatch.setattr(refiners, "PAIRS", {True: 1})
+    kept = {name: refiners.PLANNERS[name] for name in ("ipopt from lattice", "lattice")}
+    monkeypatch.setattr(refiners, "PLANNERS", kept)
+    tiers = check(hard_tiers.run_hard_tiers(session), session)
+    rows = check(refiners.run_refiners(session), session)
+    assert {row["tier"] for row in tiers} >= {"1", "unsolvable"}
+    assert all(row["status"] in ("solved", "not_found", "time_limit") for row in tiers)
+    hard = {row["pair"] for row in rows if row["condition"] != "all grasps"}
+    assert hard <= {row["pair"] for row in tiers}
+    graph = [row for row in rows if row["planner"] == refiners.GRAPH]
+    assert graph and all(row["num_regrasps"] == row["minimum"] for row in graph)
+
+
+def test_cross_effector(session, monkeypatch):
+    tiny = cross_effector.Sizes(("w", "s1"), 1, 1, 500, Resolution(0.2, 4))
+    monkeypatch.setattr(cross_effector, "QUICK", tiny)
+    monkeypatch.setattr(models, "HELD_OUT_POSES", 50)
+    rows = check(cross_effector.run_cross_effector(session), session)
+    assert {(row["trained"], row["tested"]) for row in rows} == {(a, b) for a in ("w", "s1") for b in ("w", "s1")}
+
+
+def test_ablations(session, monkeypatch):
+    monkeypatch.setattr(ablations, "PAIRS", {True: 1})
+    monkeypatch.setattr(ablations, "SAMPLES", {True: 2_400})
+    monkeypatch.setattr(models, "HELD_OUT_POSES", 50)
+    kept = {name: ablations.VARIANTS[name] for name in ("default", "samples / 4", "lambda_reg 0", "grasps 50")}
+    monkeypatch.setattr(ablations, "VARIANTS", kept)
+    rows = check(ablations.run_ablations(session), session)
+    ap = {row["variant"]: row["ap"] for row in rows if "ap" in row}
+    assert ap["default"] == ap["lambda_reg 0"] > ap["samples / 4"]
+
+
+def test_a_broken_mesh_is_a_row_and_the_rest_runs_on(session, tmp_path, monkeypatch):
+    monkeypatch.setattr(cost_sweep, "SUMS", {True: 1})
+    monkeypatch.setattr(cost_sweep, "PAIRS", {True: 0})
+    meshes = tmp_path / "meshes"
+    meshes.mkdir()
+    (meshes / "broken.stl").write_text("solid nothing", encoding="utf-8")
+    with_broken = Session(session.folder, quick=True, objects=meshes, names=("bottle",), jobs=1, quiet=True)
+    report = cost_sweep.run_cost_sweep(with_broken)
+    assert [row["object"] for row in report.errors] == ["broken.stl"]
+    assert any(row["object"] == "bottle" and "ap_shared" in row for row in report.rows)
+
+
+def test_the_command_names_what_is_wrong(tmp_path, capsys):
+    assert run(["bench", "one-stop", "--out", str(tmp_path)]) == 2
+    assert "one-step" in capsys.readouterr().err
+    assert run(["bench", "one-step", "--objects", str(tmp_path / "none"), "--out", str(tmp_path)]) == 2
+    assert "no folder" in capsys.readouterr().err
+    assert run(["bench", "one-step", "--objects", str(tmp_path), "--out", str(tmp_path)]) == 2
+    assert "no mesh" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_writes_its_files(session, tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(EXPERIMENTS, "cost-sweep", lambda s: cost_sweep.run_cost_sweep(session))
+    monkeypatch.setattr(cost_sweep, "SUMS", {True: 1})
+    monkeypatch.setattr(cost_sweep, "PAIRS", {True: 0})
+    assert run(["bench", "cost-sweep", "--quick", "--out", str(tmp_path)]) == 0
+    assert "AP shared" in capsys.readouterr().out
+    summary = json.loads((tmp_path / "cost-sweep" / "summary.json").read_text(encoding="utf-8"))
+    assert summary["name"] == "cost-sweep" and (tmp_path / "benchmarks.md").is_file()
+
+
+def test_the_papers_tables_are_whole():
+    assert {len(rows) for rows in ONE_STEP.values()} == {4} and {len(rows) for rows in MULTI_STEP.values()} == {2}
+    cells = [CROSS_EFFECTOR[name][a][b] for name in CROSS_EFFECTOR for a in END_EFFECTORS for b in END_EFFECTORS]
+    assert len(cells) == 144 and all(0 <= cell <= 100 for cell in cells)
+    # in the paper the same tool wins every row of the bottle
+    assert all(CROSS_EFFECTOR["bottle"][a][a] >= 40 for a in END_EFFECTORS)

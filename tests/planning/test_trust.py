@@ -1,0 +1,120 @@
+"""What must not slip through: objects that cannot stay where they are put, grasps of unknown origin, threads."""
+
+import dataclasses
+import sys
+import threading
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from regrasp_opt import GraspSet, RegraspPlan, RegraspProblem, load_workcell, solve_sequence
+from regrasp_opt.errors import GraspError, PoseError, UnknownNameError
+from regrasp_opt.feasibility.standing import resting_problem, standing_problem
+from regrasp_opt.planning.tasks import random_task
+from regrasp_opt.workcell import Table
+
+
+def _on_table(problem, rotation):
+    """Return the pose with `rotation` whose lowest vertex touches the table, over the middle of the workspace."""
+    T = np.eye(4)
+    T[:3, :3] = rotation
+    lowest = (problem.object.vertices @ rotation[2]).min()
+    T[:3, 3] = [0.0, 0.35, problem.workcell.table.height - lowest]
+    T[:2, 3] -= (rotation @ problem.object.center_of_mass)[:2]
+    return T
+
+
+@pytest.mark.parametrize("degrees", [10, 30, 45])
+def test_a_start_that_would_tip_over_is_refused(bottle_problem, degrees):
+    upright = bottle_problem.pose(4, 0.0, 0.35)[:3, :3]
+    tilted = _on_table(bottle_problem, Rotation.from_euler("x", degrees, degrees=True).as_matrix() @ upright)
+    with pytest.raises(PoseError, match="would tip over at the start pose"):
+        solve_sequence(bottle_problem, tilted, bottle_problem.pose(0, 0.2, 0.35))
+
+
+def test_every_stable_placement_can_be_a_start(bottle_problem):
+    for number in range(len(bottle_problem.placements)):
+        T = bottle_problem.pose(number, 0.1, 0.3, 1.0)
+        body = bottle_problem.object
+        vertices = body.vertices @ T[:3, :3].T + T[:3, 3]
+        center = T[:3, :3] @ body.center_of_mass + T[:3, 3]
+        assert resting_problem(vertices, center, bottle_problem.workcell) is None
+
+
+def test_an_object_over_the_table_edge_does_not_stand(bottle_problem):
+    cell = bottle_problem.workcell
+    small = dataclasses.replace(cell, table=Table(0.0, np.array([0.0, 0.35]), np.array([0.6, 0.6]), 0.05))
+    vertices = bottle_problem.object.vertices
+    for x, problem in ((0.0, None), (0.29, "stands over the edge of the table")):
+        T = bottle_problem.pose(0, x, 0.35)
+        assert standing_problem(vertices @ T[:3, :3].T + T[:3, 3], small) == problem
+
+
+def test_no_grasp_is_feasible_for_an_object_in_the_table(bottle_problem):
+    T = bottle_problem.pose(0, 0.2, 0.35)
+    assert bottle_problem.feasible_grasps(T).any()
+    T[2, 3] -= 0.01
+    assert not bottle_problem.feasible_grasps(T).any()
+
+
+@pytest.mark.parametrize("end", [0, -1])
+def test_residuals_see_that_an_end_hovers(plan, end):
+    poses = plan.poses.copy()
+    poses[end, 2, 3] += 0.1
+    texts = dataclasses.replace(plan, poses=poses).residuals().problems
+    assert any(f"does not touch the table at the {('start', 'goal')[end]}" in text for text in texts)
+
+
+def test_grasps_of_unknown_origin_are_checked(bottle_problem):
+    grasps = bottle_problem.grasps
+    shifted = grasps.T_object_tcp.copy()
+    shifted[3, :3, 3] += 0.1 * shifted[3, :3, 2]  # the palm in the bottle
+    cases = [
+        (GraspSet(grasps.T_object_tcp, np.zeros(len(grasps)), "suction"), "suction"),
+        (GraspSet(grasps.T_object_tcp, grasps.width + 0.2, "parallel"), "wider"),
+        (GraspSet(shifted, grasps.width, "parallel"), "grasp 3 the gripper overlaps"),
+    ]
+    for wrong, text in cases:
+        with pytest.raises(GraspError, match=text):
+            RegraspProblem.load("bottle", "nova2-w", grasps=wrong)
+
+
+def test_a_plan_with_another_end_effector_can_be_loaded_again(tmp_path, bottle_problem):
+    problem = RegraspProblem.load("bottle", "nova2-w", end_effector="r140")
+    object.__setattr__(problem, "energy", bottle_problem.energy)
+    assert not RegraspProblem.load("bottle", "nova2-w", end_effector="r140").model_folder
+    task = random_task(problem, np.random.default_rng(0), needs_regrasp=False)
+    plan = solve_sequence(problem, task.start, task.goal)
+    plan.save(tmp_path / "plan.json")
+    loaded = RegraspPlan.load(tmp_path / "plan.json")
+    assert loaded.residuals().hold
+    assert loaded.problem.workcell.end_effector.name == "r140"
+    assert load_workcell("nova2-w", end_effector="r140").name == "nova2-w"
+
+
+def test_an_unknown_preset_is_named():
+    with pytest.raises(UnknownNameError, match="unknown preset 'papr'; known: paper, default"):
+        RegraspProblem.load("bottle", "nova2-w", preset="papr")
+
+
+def test_one_problem_serves_several_threads(bottle_problem):
+    checker, T = bottle_problem.checker, bottle_problem.pose(0, 0.2, 0.35, 0.4)
+    ids = np.flatnonzero(bottle_problem.feasible_grasps(T))
+    cases = [(g, q) for g, found in zip(ids, checker.configurations(T, ids), strict=True) for q in found[:2]]
+    expected = [checker.clearance(T, g, q) for g, q in cases]
+    wrong: list[int] = []
+
+    def work():
+        answers = [checker.clearance(T, g, q) for g, q in cases]
+        wrong.append(sum(a != b for a, b in zip(answers, expected, strict=True)))
+
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    threads = [threading.Thread(target=work) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    sys.setswitchinterval(interval)
+    assert wrong == [0, 0, 0, 0]
