@@ -23,7 +23,7 @@ from regrasp_opt.benchmarks.paper import ONE_STEP, PAPER_OBJECT
 from regrasp_opt.benchmarks.report import Figure, Report, Table, percent
 from regrasp_opt.benchmarks.runner import Item, Row
 from regrasp_opt.benchmarks.session import Session, error_rows, usable
-from regrasp_opt.benchmarks.subjects import planning_key, resident
+from regrasp_opt.benchmarks.subjects import planning_key, problem_key, resident
 from regrasp_opt.connectivity import CostOptions
 from regrasp_opt.connectivity.costs import CostVariant
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
@@ -39,8 +39,8 @@ TEXT = (
 K_TOP = (200, 100, 50, 10)
 PAIRS = {True: 2, False: 10}
 """Pairs an object, in quick and in full runs."""
-PER_PLACEMENT = {True: 100, False: 200}
-"""Start points for each stable placement, in quick and in full runs."""
+PER_PLACEMENT = 200
+"""Start points for each stable placement; with fewer than K_top, one valid placement could not fill a ranking."""
 UNSEEN_SEED = 1
 
 METHODS: dict[str, tuple[Literal["default", "paper"], str, CostVariant]] = {
@@ -76,29 +76,26 @@ def _run(session: Session, *, unseen: bool) -> Report:
         oracle = session.oracle(name, problem, None if session.quick else PAPER_GRID)
         rng = session.rng(10)
         chosen = choose_instances(session.pool(problem), oracle, {"1": PAIRS[session.quick]}, rng, name)
+        if unseen:
+            problem = _with_unseen_grasps(problem)
+            oracle = session.oracle(f"{name}, unseen grasps", problem)
         truth[name], hashes[name] = oracle, instances_hash(chosen)
-        tested = _with_unseen_grasps(problem) if unseen else problem
+        methods = UNSEEN_METHODS if unseen else tuple(METHODS)
         for instance in chosen:
-            pictured = not unseen and instance is chosen[0]
-            items += _items(name, tested, instance, None if unseen else oracle, session, pictured)
+            items += _items(name, problem, instance, oracle, session.seed, methods, instance is chosen[0])
     experiment = "unseen" if unseen else "one-step"
     results = session.execute(experiment, items)
     rows = results.rows + error_rows(subjects)
-    tables = [_table(rows, unseen)]
-    figures: list[Figure] = []
-    if not unseen:
-        tables.append(_truth_table(truth, rows))
-        figures = [Figure(f"Intermediate poses for one pair: {name}", _figure(name, rows)) for name in truth]
     return Report(
         experiment,
         "One intermediate pose, unseen grasps" if unseen else "One intermediate pose",
         TEXT,
-        tuple(tables),
+        (_table(rows, unseen), _truth_table(truth, rows)),
         rows,
-        tuple(figures),
+        tuple(Figure(f"Intermediate poses for one pair: {name}", _figure(name, rows)) for name in truth),
         hashes,
         results.revisions,
-        {"quick": session.quick, "seed": session.seed, "starts per placement": PER_PLACEMENT[session.quick]},
+        {"quick": session.quick, "seed": session.seed, "starts per placement": PER_PLACEMENT},
     )
 
 
@@ -114,25 +111,28 @@ def _with_unseen_grasps(problem: RegraspProblem) -> RegraspProblem:
 
 
 def _items(
-    name: str, problem: RegraspProblem, instance: Instance, oracle: Oracle | None, session: Session, pictured: bool
+    name: str,
+    problem: RegraspProblem,
+    instance: Instance,
+    oracle: Oracle,
+    seed: int,
+    methods: tuple[str, ...],
+    pictured: bool,
 ) -> list[Item]:
-    """Return the work on one pair; without an oracle the methods are those for unseen grasps."""
-    starts = PER_PLACEMENT[session.quick]
-    depends = content_hash(planning_key(problem), instances_hash([instance]), session.seed, starts, pictured)
+    """Return the work on one pair: what the grid says about it, and every method."""
     columns: Row = {"object": name, "pair": instance.name}
-    items = []
-    if oracle is not None:
-        start, goal = (problem.feasible_grasps(T) for T in (instance.start, instance.goal))
-        valid = oracle.one_step(start, goal)
-        truth = {**columns, "method": "grid", "share": float(valid.mean())}
-        shown = np.flatnonzero(valid & pictured)[:: max(1, int(valid.sum()) // PICTURED_POSES)]
-        poses = _pose_rows(oracle.placements[shown], oracle.xi[shown], valid[shown])
-        key = content_hash(depends, oracle.xi)
-        items.append(Item(f"{instance.name}/grid", key, _as_they_are, ([{}, *poses],), truth))
-    for method in UNSEEN_METHODS if oracle is None else METHODS:
+    start, goal = (problem.feasible_grasps(T) for T in (instance.start, instance.goal))
+    valid = oracle.one_step(start, goal)
+    shown = np.flatnonzero(valid & pictured)[:: max(1, int(valid.sum()) // PICTURED_POSES)]
+    poses = _pose_rows(oracle.placements[shown], oracle.xi[shown], valid[shown])
+    grid_rows: list[Row] = [{"share": float(valid.mean())}, *poses]
+    key = content_hash(problem_key(problem), instances_hash([instance]), oracle.xi, pictured)
+    items = [Item(f"{instance.name}/grid", key, _as_they_are, (grid_rows,), {**columns, "method": "grid"})]
+    for method in methods:
         tested = replace(problem, preset=METHODS[method][0])
-        arguments = (tested, instance, method, session.seed, starts, pictured)
-        items.append(Item(f"{instance.name}/{method}", depends, measure_pair, arguments, {**columns, "method": method}))
+        key = content_hash(planning_key(tested), instances_hash([instance]), seed, PER_PLACEMENT, pictured)
+        arguments = (replace(tested), instance, method, seed, PER_PLACEMENT, pictured)
+        items.append(Item(f"{instance.name}/{method}", key, measure_pair, arguments, {**columns, "method": method}))
     return items
 
 
@@ -192,12 +192,13 @@ def _pose_rows(placements: IntArray, xi: FloatArray, valid: BoolArray) -> list[R
 
 def _table(rows: list[Row], unseen: bool) -> Table:
     measured = [row for row in rows if "sv" in row]
+    solvable = {row["pair"] for row in rows if row.get("share", 0.0) > 0}
     methods = UNSEEN_METHODS if unseen else tuple(METHODS)
     paper_columns = ("paper Usn",) if unseen else ("paper J", "paper J+", "paper J^h")
     lines = []
     for name in dict.fromkeys(row["object"] for row in measured):
         for k in K_TOP:
-            here = [row for row in measured if row["object"] == name and row["k_top"] == k]
+            here = [row for row in measured if row["object"] == name and row["k_top"] == k and row["pair"] in solvable]
             printed = ONE_STEP[PAPER_OBJECT[name]][k] if name in PAPER_OBJECT else None
             paper = (None,) * len(paper_columns) if printed is None else printed[3:] if unseen else printed[:3]
             ours = [percent([row["sv"] for row in here if row["method"] == method]) for method in methods]
@@ -208,7 +209,8 @@ def _table(rows: list[Row], unseen: bool) -> Table:
         tuple(lines),
         "Ours ranks the lattice poses of each placement; Langevin uses our energy, the paper's optimiser, random "
         "starts and the exact grasps of both ends; the last of our columns is the paper's preset, optimiser and "
-        "learned ends, trained on the same data. Paper: its Table I, on its own grasps and checker.",
+        "learned ends, trained on the same data. Paper: its Table I, on its own grasps and checker. Pairs that the "
+        "grid cannot solve with one regrasp and these grasps are left out.",
     )
 
 
@@ -216,7 +218,7 @@ def _truth_table(truth: dict[str, Oracle], rows: list[Row]) -> Table:
     lines = []
     for name, oracle in truth.items():
         here = [row for row in rows if row.get("object") == name]
-        shares = [row["share"] for row in here if "share" in row and "x" not in row]
+        shares = [row["share"] for row in here if "share" in row]
         times = [
             [row["seconds"] for row in here if row.get("method") == method and "seconds" in row]
             for method in ("ours J", "Langevin J")
@@ -225,6 +227,8 @@ def _truth_table(truth: dict[str, Oracle], rows: list[Row]) -> Table:
             (
                 name,
                 *oracle.feasible.shape,
+                len(shares),
+                sum(share > 0 for share in shares),
                 percent(shares),
                 percent(sorted(shares)[:1]),
                 round(oracle.seconds, 1),
@@ -233,7 +237,18 @@ def _truth_table(truth: dict[str, Oracle], rows: list[Row]) -> Table:
         )
     return Table(
         "Exhaustive grid search",
-        ("object", "poses", "grasps", "valid poses [%]", "least valid [%]", "grid [CPU s]", "ours [s]", "Langevin [s]"),
+        (
+            "object",
+            "poses",
+            "grasps",
+            "pairs",
+            "solvable",
+            "valid poses [%]",
+            "least valid [%]",
+            "grid [CPU s]",
+            "ours [s]",
+            "Langevin [s]",
+        ),
         tuple(lines),
         "Grid poses that are valid intermediate poses, mean and least over the pairs; processor time of the grid, "
         "which is computed once and kept; median time to generate all poses of one pair.",

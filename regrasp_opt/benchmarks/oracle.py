@@ -187,7 +187,7 @@ def _read(path: Path, shape: tuple[int, int]) -> _Block | None:
     if not path.is_file():
         return None
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             packed, seconds = stored["packed"], float(stored["seconds"])
         good = packed.dtype == np.uint8 and packed.shape == (shape[0], -(-shape[1] // 8))
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):

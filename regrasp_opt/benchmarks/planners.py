@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable
-from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.sparse import block_array, csr_array
@@ -26,6 +26,8 @@ from regrasp_opt.planning.recipes import RECIPES
 from regrasp_opt.solvers import LangevinRefiner, LatticeRefiner, NlpRefiner
 from regrasp_opt.solvers.program import ProgramOptions
 
+WARM_UP = 5.0
+"""Seconds after which the uncounted first plan is given up."""
 MAX_REGRASPS = 5
 """``N_max`` of the paper."""
 
@@ -73,17 +75,15 @@ def plan_row(
     return [{**outcome(plan, instance), **effort(plan)}]
 
 
-_warmed: set[Any] = set()
+_warmed: WeakKeyDictionary[RegraspProblem, set[Recipe]] = WeakKeyDictionary()
 
 
 def _warm_up(problem: RegraspProblem, instance: Instance, recipe: Recipe) -> None:
-    key = (id(problem), recipe)
-    if key in _warmed:
-        return
-    if recipe.starts == "lattice":
-        _ = problem.lattice
-    solve_sequence(problem, instance.start, instance.goal, recipe, max_regrasps=1)
-    _warmed.add(key)
+    """Build what `recipe` keeps for `problem`: the lattice, and solvers for one and for two regrasps."""
+    done = _warmed.setdefault(problem, set())
+    if recipe not in done:
+        solve_sequence(problem, instance.start, instance.goal, recipe, max_regrasps=2, time_limit=WARM_UP)
+        done.add(recipe)
 
 
 def outcome(plan: RegraspPlan, instance: Instance) -> Row:

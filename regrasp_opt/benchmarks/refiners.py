@@ -132,9 +132,9 @@ def _success_table(rows: list[Row]) -> Table:
         ("planner", "pairs", "proved [%]", "N=1", "N=2", "N>=3", "N no more than oracle [%]", "median [s]",
          "90 % [s]", "mean, all [s]", "before [s]"),
         tuple(lines),
-        "Proved: of the pairs that the oracle solves. Mean, all: time spent on every pair, solved or not. Before: what "
-        "is made once for an object, workcell and grasp set: the exact grid (processor time), or grasps, labels and "
-        "trained energies (by the clock).",
+        "Proved: of the pairs that the oracle solves. Mean, all: time spent on every pair, solved or not. Before: "
+        "what is made once for an object, workcell and grasp set: the exact grid (processor time), or grasps, labels "
+        "and trained energies (by the clock).",
     )  # fmt: skip
 
 

@@ -88,17 +88,33 @@ def _timed(problem: RegraspProblem, task: Task, refiner: str, seed: int) -> Row:
     }
 
 
+# A small process in between: the peak memory of a child counts that of the process it was forked from.
+_WATCH = """
+import json, resource, subprocess, sys
+child = subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+print(json.dumps([child.returncode, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss]))
+"""
+
+
 def process_row(label: str, arguments: list[str], environment: dict[str, str] | None = None) -> Row:
     """Run the command line in a child process; return its wall time [s], peak memory [MB] and exit code."""
     command = [sys.executable, "-c", "from regrasp_opt.cli import main; main()", *arguments]
-    with tempfile.TemporaryFile() as output:
-        began = time.perf_counter()
-        child = subprocess.Popen(command, stdout=output, stderr=output, env={**os.environ, **(environment or {})})
-        _, status, usage = os.wait4(child.pid, 0)
-        child.returncode = os.waitstatus_to_exitcode(status)
-        seconds = time.perf_counter() - began
-    scale = 1e6 if sys.platform == "darwin" else 1e3
-    return {"what": label, "seconds": seconds, "peak_mb": usage.ru_maxrss / scale, "exit": child.returncode}
+    began = time.perf_counter()
+    watched = subprocess.run(
+        [sys.executable, "-c", _WATCH, *command],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, **(environment or {})},
+    )
+    seconds = time.perf_counter() - began
+    code, peak = json.loads(watched.stdout)
+    return {
+        "what": label,
+        "seconds": seconds,
+        "peak_mb": peak / (1e6 if sys.platform == "darwin" else 1e3),
+        "exit": code,
+    }
 
 
 def process_rows(meshes: list[Path], repeats: int, samples: int, tell: Callable[[str], None]) -> list[Row]:

@@ -41,20 +41,18 @@ def check(report, session):
 
 def test_one_step(session, monkeypatch):
     monkeypatch.setattr(one_step, "PAIRS", {True: 1})
-    monkeypatch.setattr(one_step, "PER_PLACEMENT", {True: 40})
     kept = {name: one_step.METHODS[name] for name in ("ours J",)}
     monkeypatch.setattr(one_step, "METHODS", kept)
     rows = check(one_step.run_one_step(session), session)
     ours = [row for row in rows if row.get("method") == "ours J" and "sv" in row]
     assert [row["k_top"] for row in ours] == list(one_step.K_TOP)
     assert all(row["distinct"] == row["k_top"] and not row["direct"] for row in ours)
-    assert all(row["sv"] > 0.9 for row in ours if row["k_top"] <= 50)
+    assert all(row["sv"] > 0.9 for row in ours)
     assert one_step.run_one_step(session).rows == rows
 
 
 def test_unseen_grasps(session, monkeypatch):
     monkeypatch.setattr(one_step, "PAIRS", {True: 1})
-    monkeypatch.setattr(one_step, "PER_PLACEMENT", {True: 40})
     monkeypatch.setattr(one_step, "UNSEEN_METHODS", ("ours J",))
     rows = check(one_step.run_unseen(session), session)
     assert max(row["sv"] for row in rows) > 0.8
@@ -81,7 +79,8 @@ def test_multi_step(session, monkeypatch):
 
 
 def test_hard_tiers_and_refiners_share_their_instances(session, monkeypatch):
-    monkeypatch.setattr(hard_tiers, "TIME_LIMIT", 10.0)
+    monkeypatch.setattr(hard_tiers, "TIME_LIMIT", 2.0)
+    monkeypatch.setattr(refiners, "TIME_LIMIT", {True: 10.0})
     monkeypatch.setattr(refiners, "PAIRS", {True: 1})
     kept = {name: refiners.PLANNERS[name] for name in ("ipopt from lattice", "lattice")}
     monkeypatch.setattr(refiners, "PLANNERS", kept)
@@ -98,6 +97,7 @@ def test_hard_tiers_and_refiners_share_their_instances(session, monkeypatch):
 def test_cross_effector(session, monkeypatch):
     tiny = cross_effector.Sizes(("w", "s1"), 1, 1, 500, Resolution(0.2, 4))
     monkeypatch.setattr(cross_effector, "QUICK", tiny)
+    monkeypatch.setattr(cross_effector, "PER_PLACEMENT", 50)
     monkeypatch.setattr(models, "HELD_OUT_POSES", 50)
     rows = check(cross_effector.run_cross_effector(session), session)
     assert {(row["trained"], row["tested"]) for row in rows} == {(a, b) for a in ("w", "s1") for b in ("w", "s1")}

@@ -1,10 +1,12 @@
 import csv
 import json
 import logging
+import os
 
+import joblib
 import pytest
 
-from regrasp_opt.benchmarks.parallel import dask_cluster
+from regrasp_opt.benchmarks.parallel import dask_cluster, in_parallel
 from regrasp_opt.benchmarks.runner import Item, run_items, write_csv
 from regrasp_opt.errors import MeshError, OptionError
 
@@ -90,6 +92,16 @@ def test_csv_holds_all_columns(tmp_path):
 def test_a_dask_scheduler_that_does_not_exist_is_one_sentence():
     with pytest.raises(OptionError, match="Dask"), dask_cluster("tcp://127.0.0.1:1"):
         pass
+
+
+def test_a_dask_cluster_does_the_work(tmp_path):
+    distributed = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        dask_cluster(cluster.scheduler_address),
+    ):
+        workers = set(in_parallel((joblib.delayed(os.getpid)() for _ in range(8)), -1))
+    assert workers and os.getpid() not in workers
 
 
 def test_without_an_address_nothing_changes():
