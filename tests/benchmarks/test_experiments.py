@@ -55,7 +55,7 @@ def test_unseen_grasps(session, monkeypatch):
     monkeypatch.setattr(one_step, "PAIRS", {True: 1})
     monkeypatch.setattr(one_step, "UNSEEN_METHODS", ("ours J",))
     rows = check(one_step.run_unseen(session), session)
-    assert max(row["sv"] for row in rows) > 0.8
+    assert max(row["sv"] for row in rows if "sv" in row) > 0.8
 
 
 def test_cost_sweep(session, monkeypatch):
