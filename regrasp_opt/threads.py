@@ -26,3 +26,16 @@ def one_blas_thread() -> Iterator[None]:
     """Let NumPy and CasADi use one thread for linear algebra, and what they used before afterwards."""
     with threadpoolctl.threadpool_limits(limits=1, user_api="blas"):
         yield
+
+
+@contextmanager
+def one_torch_thread() -> Iterator[None]:
+    """Let torch, which must be installed, use one thread, and what it used before afterwards."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

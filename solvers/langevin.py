@@ -12,17 +12,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from regrasp_opt.connectivity import SequenceObjective, sequence_cost
+from regrasp_opt.connectivity import BLOCKED, SequenceObjective, sequence_cost
 from regrasp_opt.energy.activations import torch_activation
-from regrasp_opt.energy.features import FeatureSet
 from regrasp_opt.errors import OptionError
 from regrasp_opt.solvers.base import Candidates, Refinement, wrap_yaw
+from regrasp_opt.threads import one_torch_thread
 
 if TYPE_CHECKING:
     import torch
 
-_CHUNK_ELEMENTS = 1 << 25
-"""Hidden units a chunk of chains may hold at once; with gradients that is about 1 GB."""
+_CHUNK_ELEMENTS = 1 << 20
+"""Hidden units of one layer that a chunk of chains holds at once on a processor: 4 MB, which its cache can hold."""
+_GPU_CHUNK_ELEMENTS = 1 << 27
+"""The same on a GPU, which wants large batches; with gradients a chunk then takes a few GB."""
 
 
 @dataclass(frozen=True)
@@ -66,15 +68,17 @@ class LangevinRefiner:
         import torch
 
         name = ("cuda" if torch.cuda.is_available() else "cpu") if self.device == "auto" else self.device
-        landscape = _Landscape(objective, torch.device(name))
-        width = len(objective.energy) * objective.energy.model.hidden * max(1, starts.xi.shape[1])
-        chunk = max(1, _CHUNK_ELEMENTS // width)
+        num_regrasps = starts.xi.shape[1]
+        landscape = _Landscape(objective, num_regrasps, torch.device(name))
+        width = landscape.grasps * objective.energy.model.hidden * max(1, num_regrasps)
+        chunk = max(1, (_CHUNK_ELEMENTS if name == "cpu" else _GPU_CHUNK_ELEMENTS) // width)
         noise = torch.Generator().manual_seed(int(rng.integers(2**63 - 1)))
         parts, traces = [], []
-        for first in range(0, len(starts), chunk):
-            xi, trace = self._run(landscape, starts.take(slice(first, first + chunk)), noise)
-            parts.append(xi)
-            traces.append(trace)
+        with one_torch_thread():
+            for first in range(0, len(starts), chunk):
+                xi, trace = self._run(landscape, starts.take(slice(first, first + chunk)), noise)
+                parts.append(xi)
+                traces.append(trace)
         xi = wrap_yaw(np.concatenate(parts)) if parts else np.array(starts.xi)
         xi[..., :2] = np.clip(xi[..., :2], *objective.bounds)  # single precision may leave them by rounding
         cost = objective.cost(starts.placements, xi)
@@ -87,7 +91,7 @@ class LangevinRefiner:
             Candidates(starts.placements, xi, cost),
             ("finished",) * len(starts),
             tuple(trace.T.astype(np.float64)),
-            {"iterations": self.iterations, "mean_cost": trace.mean(axis=1).tolist()},
+            {"iterations": self.iterations, "evaluations": trace.size, "mean_cost": trace.mean(axis=1).tolist()},
         )
 
     def _run(self, landscape: _Landscape, starts: Candidates, noise: torch.Generator) -> tuple[Any, Any]:
@@ -114,27 +118,36 @@ class LangevinRefiner:
 
 
 class _Landscape:
-    """The objective in torch, single precision, over scaled planar parameters."""
+    """The objective in torch, single precision, over scaled planar parameters and the grasps that can matter.
 
-    def __init__(self, objective: SequenceObjective, device: torch.device) -> None:
+    The first layer is affine in (1, cos, sin) of the yaw at each placement and in x and y, so the pre-activations of a
+    pose for all grasps are one row of a matrix product: the numbers above, put in the columns of the pose's placement,
+    times a table.
+    """
+
+    def __init__(self, objective: SequenceObjective, num_regrasps: int, device: torch.device) -> None:
         import torch
 
         def tensor(array: Any) -> torch.Tensor:
             return torch.as_tensor(np.ascontiguousarray(array), dtype=torch.float32, device=device)
 
-        model, first = objective.energy.model, objective.energy.first_layer
+        energy, model = objective.energy, objective.energy.model
+        ids = objective.useful_grasps(num_regrasps)
         low, high = objective.bounds
+        self.grasps = len(ids)
         self.options = objective.options
         self.bounded, self.activation = model.bounded, torch_activation(model.activation)
-        self.features: FeatureSet = model.features
         self.center = tensor([*(low + high) / 2, 0.0])
         self.scale = tensor([*(high - low) / 2, np.pi])
-        self.placements = tensor(objective.placements[:, :3])
-        self.ends = tensor(np.stack([objective.start_energy, objective.goal_energy]))
-        self.pose_weight = tensor(first.pose.transpose(1, 0, 2).reshape(-1, 12))
-        self.tcp_weight = tensor(first.tcp.transpose(1, 0, 2).reshape(-1, 12))
-        self.constant = tensor(first.constant.T)
-        self.grasps = tensor(objective.energy.grasps.T_object_tcp)
+        rule = objective.table_rule
+        self.reach = None if rule is None else tensor(rule.reach[:, ids])
+        self.table = None if rule is None else tensor(rule.table)
+        self.ends = tensor(np.stack([objective.start_energy[ids], objective.goal_energy[ids]]))
+        planar = [energy.planar_layer(T_p, ids) for T_p in objective.placements]
+        rows = [part for layer in planar for part in (layer.constant, layer.cosine, layer.sine)]
+        rows += [np.broadcast_to(shift, rows[0].shape) for shift in (planar[0].dx, planar[0].dy)]
+        self.first = tensor(np.stack([row.T.ravel() for row in rows]))  # (3 S + 2, A H)
+        self.of_placement = torch.eye(len(planar), device=device)
         self.layers = [(tensor(W), tensor(b)) for W, b in zip(model.weights[1:], model.biases[1:], strict=True)]
 
     def scaled(self, xi: Any) -> torch.Tensor:
@@ -154,24 +167,24 @@ class _Landscape:
         """Return ``J_seq`` (B,) of scaled planar parameters (B, N, 3)."""
         import torch
 
-        xi = u * self.scale + self.center
-        c, s = torch.cos(xi[..., 2:]), torch.sin(xi[..., 2:])
-        r0, r1, r2 = self.placements[placements.to(u.device)].unbind(-2)  # (B, N, 4) each
-        shift = torch.nn.functional.pad(xi[..., :2, None], (3, 0))  # (B, N, 2, 4): x and y in the last column
-        rows = torch.stack([c * r0 - s * r1 + shift[..., 0, :], s * r0 + c * r1 + shift[..., 1, :], r2], dim=-2)
-        middle = self.energies(rows)
+        middle = self.energies(placements.to(u.device), u * self.scale + self.center)
         ends = self.ends[:, None, None].expand(2, len(u), 1, -1)
         return sequence_cost(torch.cat([ends[0], middle, ends[1]], dim=1), self.options)
 
-    def energies(self, rows: torch.Tensor) -> torch.Tensor:
-        """Return energies (B, N, G) of the upper rows of object poses (B, N, 3, 4)."""
+    def energies(self, placements: torch.Tensor, xi: torch.Tensor) -> torch.Tensor:
+        """Return energies (B, N, A) at placement numbers (B, N) and planar parameters (B, N, 3)."""
         import torch
 
-        z = (rows.flatten(-2) @ self.pose_weight.T)[..., None, :] + self.constant
-        if self.features == "tcp":
-            tcp = rows[..., None, :, :] @ self.grasps
-            z = z + tcp.flatten(-2) @ self.tcp_weight.T
+        yaw = xi[..., 2]
+        turned = torch.stack([torch.ones_like(yaw), torch.cos(yaw), torch.sin(yaw)], dim=-1)
+        own = (self.of_placement[placements][..., None] * turned[..., None, :]).flatten(-2)  # (B, N, 3 S)
+        z = torch.cat([own, xi[..., :2]], dim=-1) @ self.first
+        z = z.unflatten(-1, (self.grasps, -1))
         for W, b in self.layers:
             z = torch.nn.functional.linear(self.activation(z), W, b)
         f = z[..., 0]
-        return torch.nn.functional.softplus(f) if self.bounded else f
+        learned = torch.nn.functional.softplus(f) if self.bounded else f
+        if self.reach is None or self.table is None:
+            return learned
+        to_edge = torch.minimum(xi[..., :2] - self.table[0], self.table[1] - xi[..., :2]).amin(dim=-1)
+        return torch.where(self.reach[placements] < to_edge[..., None], BLOCKED, learned)  # as `TableRule`

@@ -14,14 +14,14 @@ from __future__ import annotations
 import contextlib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from regrasp_opt.connectivity import SequenceObjective, sequence_cost
+from regrasp_opt.connectivity import SequenceObjective, TableRule, block, sequence_cost
 from regrasp_opt.conventions import FloatArray, IntArray, planar_transform
 from regrasp_opt.energy.model import GraspEnergy
 from regrasp_opt.files import atomic_path, content_hash
@@ -51,9 +51,20 @@ class PoseLattice:
         """Return ``P = exp(-E / alpha)`` (L, G)."""
         return np.exp(-self.energies / np.float32(alpha))
 
+    @cached_property
+    def cells(self) -> IntArray:
+        """The coarse cell (L,) of each pose: its placement, a square of three spacings and a quarter turn."""
+        x, y = (np.floor(self.xi[:, k] / (3 * SPACING)).astype(np.int64) for k in (0, 1))
+        quarter = np.floor(self.xi[:, 2] / (np.pi / 2)).astype(np.int64)
+        return np.unique(np.column_stack([self.placements, x, y, quarter]), axis=0, return_inverse=True)[1]
+
     @staticmethod
     def build(
-        energy: GraspEnergy, placements: FloatArray, bounds: FloatArray, cache: Path | None = None
+        energy: GraspEnergy,
+        placements: FloatArray,
+        bounds: FloatArray,
+        cache: Path | None = None,
+        table_rule: TableRule | None = None,
     ) -> PoseLattice:
         """Evaluate `energy` on the lattice over `bounds` (2, 2) and `placements` (S, 4, 4).
 
@@ -62,22 +73,32 @@ class PoseLattice:
         cache : Path, optional
             Folder in which the energies are kept, under a hash of all they depend on. A file that cannot be read is
             made again.
+        table_rule : TableRule, optional
+            Grasps that it rules out are blocked.
         """
         numbers, xi = lattice_poses(len(placements), bounds)
-        path = None
-        if cache is not None:
-            path = cache / f"{content_hash(energy.fingerprint(), placements, xi)[:32]}.npy"
-            stored = _read(path, (len(xi), len(energy)))
-            if stored is not None:
-                return PoseLattice(numbers, xi, stored)
-        T = planar_transform(xi) @ placements[numbers]
-        with ThreadPoolExecutor(_WORKERS) as pool:
-            blocks = list(pool.map(lambda part: energy(part, np.float32), np.array_split(T, 8 * _WORKERS)))
-        energies = np.concatenate(blocks)
-        if path is not None:
-            with contextlib.suppress(OSError), atomic_path(path) as temporary, temporary.open("wb") as file:
-                np.save(file, energies, allow_pickle=False)  # only a cache: a folder that cannot be written is no error
-        return PoseLattice(numbers, xi, energies)
+        energies = _learned(energy, placements, numbers, xi, cache)
+        return PoseLattice(numbers, xi, energies if table_rule is None else block(energies, table_rule(numbers, xi)))
+
+
+def _learned(
+    energy: GraspEnergy, placements: FloatArray, numbers: IntArray, xi: FloatArray, cache: Path | None
+) -> NDArray[np.float32]:
+    """Return the learned energies (L, G) of the lattice poses, from the cache if they are there."""
+    path = None
+    if cache is not None:
+        path = cache / f"{content_hash(energy.fingerprint(), placements, xi)[:32]}.npy"
+        stored = _read(path, (len(xi), len(energy)))
+        if stored is not None:
+            return stored
+    T = planar_transform(xi) @ placements[numbers]
+    with ThreadPoolExecutor(_WORKERS) as pool:
+        blocks = list(pool.map(lambda part: energy(part, np.float32), np.array_split(T, 8 * _WORKERS)))
+    energies = np.concatenate(blocks)
+    if path is not None:
+        with contextlib.suppress(OSError), atomic_path(path) as temporary, temporary.open("wb") as file:
+            np.save(file, energies, allow_pickle=False)  # only a cache: a folder that cannot be written is no error
+    return energies
 
 
 def lattice_poses(num_placements: int, bounds: FloatArray) -> tuple[IntArray, FloatArray]:
@@ -126,7 +147,7 @@ def lattice_starts(
         chains, cost = _chains(P, from_start, to_goal, num_regrasps, rng)
     order = np.argsort(cost, kind="stable")[:RANKED]
     ranked = chains[order]
-    chosen = ranked[_different(_cells(lattice)[ranked], count)]
+    chosen = ranked[_different(lattice.cells[ranked], count)]
     middle = lattice.energies[chosen].astype(np.float64)
     final = sequence_cost(objective.chain(middle), objective.options)
     return Candidates(lattice.placements[chosen], lattice.xi[chosen], final)
@@ -164,13 +185,6 @@ def _layer(cost: NDArray[Any], rng: np.random.Generator) -> IntArray:
     return np.concatenate([reachable[:head], rest])
 
 
-def _cells(lattice: PoseLattice) -> IntArray:
-    """Return the coarse cell (L,) of each pose: its placement, a square of three spacings and a quarter turn."""
-    x, y = (np.floor(lattice.xi[:, k] / (3 * SPACING)).astype(np.int64) for k in (0, 1))
-    quarter = np.floor(lattice.xi[:, 2] / (np.pi / 2)).astype(np.int64)
-    return np.unique(np.column_stack([lattice.placements, x, y, quarter]), axis=0, return_inverse=True)[1]
-
-
 def _different(cells: IntArray, count: int) -> IntArray:
     """Return up to `count` positions in a ranking of chains: the best chain of each coarse cell (C, N) first."""
     first = np.sort(np.unique(cells, axis=0, return_index=True)[1])
@@ -189,4 +203,6 @@ class LatticeRefiner:
 
     def refine(self, objective: SequenceObjective, starts: Candidates, rng: np.random.Generator) -> Refinement:
         """Return `starts` unchanged."""
-        return Refinement(starts, ("kept",) * len(starts), tuple(starts.cost[:, None]), {"candidates": len(starts)})
+        return Refinement(
+            starts, ("kept",) * len(starts), tuple(starts.cost[:, None]), {"candidates": len(starts), "evaluations": 0}
+        )

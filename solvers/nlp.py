@@ -3,8 +3,7 @@
 The first layers at the chosen placements and the energies at both ends are parameters, so one solver object serves
 all problems with the same energy, N and number of grasps; objects are kept for as long as the energy lives.
 
-With one regrasp every pair has a fixed end, and a grasp that is known to be infeasible at both ends adds at most
-``exp(-BLOCKED / alpha)`` to a sum (Eq. 4): such grasps are left out, which is where most of the work goes.
+Grasps that cannot matter are left out, because that is where most of the work goes: see `_active_grasps`.
 
 Neither a CasADi solver nor MUMPS may be used from two threads at once: a lock sees to it.
 """
@@ -26,7 +25,7 @@ from regrasp_opt.energy.model import GraspEnergy
 from regrasp_opt.solvers.base import Candidates, Refinement, wrap_yaw
 from regrasp_opt.solvers.program import ProgramOptions, SequenceProgram
 
-ACTIVE_SIZES = (16, 32, 48, 64, 96, 128, 192)
+ACTIVE_SIZES = (8, 16, 24, 32, 48, 64, 96, 128, 192)
 """Numbers of grasps for which solvers are built; more than the last takes all grasps."""
 
 _lock = threading.RLock()
@@ -52,22 +51,23 @@ class NlpRefiner:
 
     def refine(self, objective: SequenceObjective, starts: Candidates, rng: np.random.Generator) -> Refinement:
         """Return the refined candidates; the stats count solves, converged ones, improved ones and iterations."""
-        num_regrasps = starts.xi.shape[1]
-        ids, ends = _active_grasps(objective, num_regrasps)
-        solves = []
+        solves, grasps = [], []
         with _lock:
-            program = self._program(objective, num_regrasps, len(ids))
             for placements, xi in zip(starts.placements, starts.xi, strict=True):
+                ids, ends = _active_grasps(objective, placements, xi)
+                program = self._program(objective, len(xi), len(ids))
                 layers = layers_parameter(objective.energy, objective.placements[placements], ids)
                 solves.append(program.solve(xi, layers, ends, objective.bounds))
+                grasps.append(len(ids))
         xi = np.array([solve.xi for solve in solves]).reshape(starts.xi.shape)
         status = tuple(solve.status for solve in solves)
         stats = {
             "solves": len(solves),
-            "grasps": len(ids),
+            "grasps": max(grasps, default=0),
             "converged": sum(solve.converged for solve in solves),
             "improved": sum(solve.improved for solve in solves),
             "iterations": [solve.iterations for solve in solves],
+            "evaluations": sum(solve.evaluations for solve in solves),
             "statuses": {name: status.count(name) for name in sorted(set(status))},
         }
         cost = np.array([solve.cost for solve in solves])
@@ -83,15 +83,18 @@ class NlpRefiner:
         return known[key]
 
 
-def _active_grasps(objective: SequenceObjective, num_regrasps: int) -> tuple[IntArray, FloatArray]:
-    """Return the grasps (A,) that can matter and their energies (A, 2) at both ends.
+def _active_grasps(objective: SequenceObjective, placements: IntArray, xi: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return the grasps (A,) that can matter from one start, (N,) and (N, 3), and their energies (A, 2) at both ends.
 
-    A is rounded up to one of a few sizes, so that solvers can be kept; what fills it up is blocked at both ends.
+    What the table rules out at every intermediate pose is left out too. A is rounded up to one of a few sizes, so that
+    solvers can be kept; what fills it up is blocked at both ends.
     """
     ends = np.stack([objective.start_energy, objective.goal_energy], axis=1)
-    useful = np.flatnonzero((ends < BLOCKED).any(axis=1))
+    useful = objective.useful_grasps(len(xi))
+    if objective.table_rule is not None:
+        useful = useful[~objective.table_rule(placements, xi)[:, useful].all(axis=0)]
+    others = np.setdiff1d(np.arange(len(ends)), useful)
     size = next((n for n in ACTIVE_SIZES if n >= len(useful)), len(ends))
-    if num_regrasps > 1 or size >= len(ends):
-        return np.arange(len(ends)), ends
-    order = np.argsort((ends >= BLOCKED).all(axis=1), kind="stable")[:size]
-    return order, ends[order]
+    ends[others] = BLOCKED
+    ids = np.concatenate([useful, others])[:size]
+    return ids, ends[ids]

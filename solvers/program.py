@@ -58,7 +58,10 @@ class ProgramOptions:
 
 
 class Solve(NamedTuple):
-    """One local solve: planar parameters (N, 3), their cost, how the solver ended and its cost by iteration."""
+    """One local solve: planar parameters (N, 3), their cost, how the solver ended and its cost by iteration.
+
+    ``evaluations`` counts calls of ``J_seq`` and of its derivatives.
+    """
 
     xi: FloatArray
     cost: float
@@ -66,6 +69,7 @@ class Solve(NamedTuple):
     converged: bool
     improved: bool
     iterations: int
+    evaluations: int
     trace: FloatArray
 
 
@@ -104,6 +108,7 @@ class SequenceProgram:
             status in CONVERGED or (self.settings.plugin != "ipopt" and bool(stats.get("success", False))),
             better,
             int(stats.get("iter_count", 0)),
+            sum(int(count) for name, count in stats.items() if name.startswith("n_call_nlp_")),
             np.array(stats.get("iterations", {}).get("obj", [start_cost, found]), dtype=np.float64),
         )
 

@@ -9,8 +9,31 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from regrasp_opt.connectivity.costs import CostOptions, sequence_cost
-from regrasp_opt.conventions import FloatArray, IntArray, planar_transform
+from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, planar_transform
 from regrasp_opt.energy.model import GraspEnergy
+
+
+@dataclass(frozen=True, eq=False)
+class TableRule:
+    """Grasps that the table makes infeasible wherever the object lies on a placement, except near the table's edges.
+
+    Attributes
+    ----------
+    reach : (S, G)
+        How far (x, y) must be from the edges for the rule to hold at each placement [m]; infinite where it never does.
+    table : (2, 2)
+        ``[[x_low, y_low], [x_high, y_high]]`` of the table's top [m].
+    """
+
+    reach: FloatArray
+    table: FloatArray
+
+    def __call__(self, placements: IntArray, xi: FloatArray) -> BoolArray:
+        """Return which grasps (..., G) are ruled out at `placements` (...) and planar parameters `xi` (..., 3)."""
+        low, high = self.table
+        to_edge = np.minimum(xi[..., :2] - low, high - xi[..., :2]).min(axis=-1)
+        ruled_out: BoolArray = self.reach[placements] < to_edge[..., None]
+        return ruled_out
 
 
 @dataclass(frozen=True)
@@ -28,6 +51,8 @@ class SequenceObjective:
     bounds : (2, 2)
         ``[[x_low, y_low], [x_high, y_high]]`` of intermediate poses [m].
     options : CostOptions
+    table_rule : TableRule, optional
+        Grasps that it rules out count as `BLOCKED`.
     """
 
     energy: GraspEnergy
@@ -36,6 +61,7 @@ class SequenceObjective:
     goal_energy: FloatArray
     bounds: FloatArray
     options: CostOptions
+    table_rule: TableRule | None = None
 
     def poses(self, placements: IntArray, xi: FloatArray) -> FloatArray:
         """Return object poses (..., 4, 4) of placement numbers (...) and planar parameters (..., 3) (Eq. 6)."""
@@ -43,8 +69,22 @@ class SequenceObjective:
 
     def cost(self, placements: IntArray, xi: FloatArray, dtype: DTypeLike = np.float64) -> NDArray[Any]:
         """Return the cost (B,) of B sequences: `placements` (B, N) and `xi` (B, N, 3)."""
-        middle = self.energy(self.poses(placements, xi), dtype)
-        return sequence_cost(self.chain(middle), self.options)
+        return sequence_cost(self.chain(self.energies(placements, xi, dtype)), self.options)
+
+    def energies(self, placements: IntArray, xi: FloatArray, dtype: DTypeLike = np.float64) -> NDArray[Any]:
+        """Return the energies (..., G) of intermediate poses: `placements` (...) and `xi` (..., 3)."""
+        learned = self.energy(self.poses(placements, xi), dtype)
+        return learned if self.table_rule is None else block(learned, self.table_rule(placements, xi))
+
+    def useful_grasps(self, num_regrasps: int) -> IntArray:
+        """Return the grasps (A,) that matter for sequences of `num_regrasps` intermediate poses.
+
+        With one, every pair has a fixed end, and a grasp that is blocked at both ends adds at most
+        ``exp(-BLOCKED / alpha)`` to a sum of Eq. 4; such grasps are left out. With more, every grasp may matter.
+        """
+        if num_regrasps > 1:
+            return np.arange(len(self.start_energy))
+        return np.flatnonzero((self.start_energy < BLOCKED) | (self.goal_energy < BLOCKED))
 
     def chain(self, middle: NDArray[Any]) -> NDArray[Any]:
         """Return energies (B, N+2, G) of whole sequences from those of the intermediate poses (B, N, G)."""
@@ -55,6 +95,11 @@ class SequenceObjective:
 
 BLOCKED = 30.0
 """Energy of a grasp known to be infeasible: large against any ``-log p`` that matters, finite for the solvers."""
+
+
+def block(energies: NDArray[Any], ruled_out: BoolArray) -> NDArray[Any]:
+    """Return `energies` (..., G) with `BLOCKED` where grasps are `ruled_out` (..., G)."""
+    return np.where(ruled_out, energies.dtype.type(BLOCKED), energies)
 
 
 def exact_energy(feasible: Any) -> FloatArray:

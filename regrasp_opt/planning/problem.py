@@ -11,10 +11,12 @@ from typing import Any, Literal
 
 import numpy as np
 
+from regrasp_opt.connectivity import TableRule
 from regrasp_opt.connectivity.embedding import ProblemEnergy
 from regrasp_opt.conventions import BoolArray, FloatArray, as_pose, planar_transform, translation
 from regrasp_opt.errors import GraspError, ModelError, PoseError, UnknownNameError
 from regrasp_opt.feasibility import FeasibilityChecker
+from regrasp_opt.feasibility.tabletop import table_reach
 from regrasp_opt.files import data_home
 from regrasp_opt.grasps import GraspSet, gripper_free, sample_grasps
 from regrasp_opt.objects import ObjectModel, Placement, load_object
@@ -143,7 +145,15 @@ class RegraspProblem:
     def lattice(self) -> PoseLattice:
         """The lattice of poses with their energies; kept on disk under a hash, and in memory."""
         cache = data_home() / "lattices"
-        return PoseLattice.build(self.energy, self.placement_poses, self.workcell.bounds.array, cache)
+        bounds = self.workcell.bounds.array
+        return PoseLattice.build(self.energy, self.placement_poses, bounds, cache, self.table_rule)
+
+    @cached_property
+    def table_rule(self) -> TableRule:
+        """Which grasps the table makes infeasible at a placement, whatever the planar parameters."""
+        table = self.workcell.table
+        corners = table.center + np.array([[-0.5], [0.5]]) * table.size
+        return TableRule(table_reach(self.workcell, self.grasps, self.placement_poses), corners)
 
     def pose(self, placement: int, x: float, y: float, yaw: float = 0.0) -> FloatArray:
         """Return the pose (4, 4) T_world_object of a stable placement moved by (x, y, yaw) [m, m, rad] (Eq. 6).

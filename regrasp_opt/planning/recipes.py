@@ -53,6 +53,9 @@ class Recipe:
     check : {"proof", "threshold"}
         Accept the first candidate that is proved; or, as the paper does, the cheapest that passes the energy
         threshold `h` (Alg. 2), which is then proved once: if that fails there is no plan.
+    knowledge : {"exact", "learned"}
+        What the cost knows of start, goal and table: the exact grasps at both ends and those that the table rules out,
+        or learned energies alone, as in the paper.
     """
 
     refiner: Refiner
@@ -61,6 +64,7 @@ class Recipe:
     proved: int = REFINED_STARTS
     fallback: int = PROVED_CHAINS
     check: Literal["proof", "threshold"] = "proof"
+    knowledge: Literal["exact", "learned"] = "exact"
 
     def __post_init__(self) -> None:
         if not self.batches or min(self.batches) < 1 or self.proved < 1 or self.fallback < 0:
@@ -83,14 +87,25 @@ class Recipe:
         return LangevinRefiner().refine(objective, samples, rng).candidates.best(wanted)
 
 
+def paper_recipe(k_top: int) -> Recipe:
+    """Return the paper's Algorithms 1 and 2, with its ``K_top``."""
+    return Recipe(
+        LangevinRefiner(keep_best=False),
+        starts="random",
+        batches=(1000,),
+        proved=k_top,
+        fallback=0,
+        check="threshold",
+        knowledge="learned",
+    )
+
+
 RECIPES: dict[str, Callable[[], Recipe]] = {
     "ipopt": lambda: Recipe(NlpRefiner()),
     "langevin-ipopt": lambda: Recipe(NlpRefiner(), starts="langevin", fallback=0),
     "lattice": lambda: Recipe(LatticeRefiner(), batches=(PROVED_CHAINS,), proved=PROVED_CHAINS, fallback=0),
     "langevin": lambda: Recipe(LangevinRefiner(), starts="random", batches=(1000,), proved=50, fallback=0),
-    "paper": lambda: Recipe(
-        LangevinRefiner(keep_best=False), starts="random", batches=(1000,), proved=50, fallback=0, check="threshold"
-    ),
+    "paper": lambda: paper_recipe(50),
 }
 
 

@@ -153,6 +153,7 @@ class _Search:
         self.options = options
         self.stats: list[dict[str, Any]] = []
         self.cheapest: Candidates | None = None
+        self.known: dict[bytes, PoseKnowledge] = {}
 
     def run(self, max_regrasps: int) -> RegraspPlan:
         start, goal = self.ends
@@ -235,11 +236,16 @@ class _Search:
         if not inside:  # a refiner is not believed
             return None
         poses = objective.poses(candidates.placements[index], xi)
-        if any(self.problem.checker.object_collides(T) for T in poses):
+        middle = [self._knowledge(T) for T in poses]
+        if any(knowledge.object_collides for knowledge in middle):
             return None
-        energies = objective.chain(objective.energy(poses)[None])[0]
-        chain = [self.ends[0], *(PoseKnowledge(self.problem.checker, T) for T in poses), self.ends[1]]
+        energies = objective.chain(objective.energies(candidates.placements[index], xi)[None])[0]
+        chain = [self.ends[0], *middle, self.ends[1]]
         return chain if prove_sequence(chain, energies) else None
+
+    def _knowledge(self, T: FloatArray) -> PoseKnowledge:
+        """Return what is known about pose `T`; chains of lattice poses have many poses in common."""
+        return self.known.setdefault(T.tobytes(), PoseKnowledge(self.problem.checker, T))
 
     def _plan(
         self, objective: SequenceObjective, candidates: Candidates, index: int, chain: list[PoseKnowledge]
@@ -263,13 +269,19 @@ class _Search:
         problem = self.problem
         start, goal = (self._end_energy(end) for end in self.ends)
         return SequenceObjective(
-            problem.energy, problem.placement_poses, start, goal, problem.workcell.bounds.array, self.options
+            problem.energy,
+            problem.placement_poses,
+            start,
+            goal,
+            problem.workcell.bounds.array,
+            self.options,
+            problem.table_rule if self.recipe.knowledge == "exact" else None,
         )
 
     def _end_energy(self, end: PoseKnowledge) -> FloatArray:
-        """Return the energies (G,) at a fixed end: exact ones, or learned ones where the paper's check is asked for."""
+        """Return the energies (G,) at a fixed end, exact ones if they may be used."""
         energy = self.problem.energy
-        if self.recipe.check == "threshold":
+        if self.recipe.knowledge == "learned":
             return energy(end.T)
         return exact_energy(end.all()) if energy.model.bounded else np.where(end.all(), energy(end.T), BLOCKED)
 

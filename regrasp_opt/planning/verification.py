@@ -8,7 +8,7 @@ grasps enumerated, with the joint configurations to pick and place them.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -28,6 +28,11 @@ class PoseKnowledge:
         self._checker = checker
         self._known = np.zeros(len(checker.grasps), dtype=bool)
         self._feasible = np.zeros(len(checker.grasps), dtype=bool)
+
+    @cached_property
+    def object_collides(self) -> bool:
+        """Whether the object itself cannot stand here."""
+        return self._checker.object_collides(self.T)
 
     def feasible(self, grasp_ids: IntArray) -> BoolArray:
         """Return the exact feasibility (K,) of `grasp_ids` (K,), checking those that are not known yet."""
