@@ -130,13 +130,10 @@ def measure_variant(
     held_out = model.metadata["held_out"]
     rows: list[Row] = [{"ap": held_out["average_precision"], "shared_f1": held_out["shared_f1"]}]
     for number, instance in enumerate(pairs):
-        ends = np.stack([instance.start, instance.goal])
-        feasible = np.array([problem.feasible_grasps(T) for T in ends])
-        if not feasible.any(axis=1).all():
+        task = OneStepTask.between(problem, energy, instance.ends)
+        if not task.possible:
             rows.append({"pair": instance.name, "skipped": "no grasp of this set is feasible at one of the ends"})
             continue
-        bounds = problem.workcell.bounds.array
-        task = OneStepTask(energy, problem.placement_poses, bounds, ends, feasible)
         rows.append({"pair": instance.name, **_measure(problem, task, variant, [seed, 71, number])})
     return rows
 

@@ -86,9 +86,8 @@ def _same_placement(problem: RegraspProblem, instance: Instance) -> bool:
 def compare_sums(problem: RegraspProblem, instance: Instance) -> list[Row]:
     """Return one row with the quality of the sum, and one row for each grasp."""
     problem = resident(problem)
-    ends = np.stack([instance.start, instance.goal])
-    energy = problem.energy(ends)
-    feasible = np.array([problem.feasible_grasps(T) for T in ends])
+    energy = problem.energy(instance.ends)
+    feasible = np.array([problem.feasible_grasps(T) for T in instance.ends])
     total, shared = energy.sum(axis=0), feasible[0] & feasible[1]
     accepted = total <= problem.energy.model.threshold
     summary: Row = {

@@ -38,14 +38,14 @@ class Sizes:
     """What a run covers."""
 
     end_effectors: tuple[str, ...]
-    objects: int | None
+    objects: int
     pairs: int
     samples: int
     grid: Resolution
 
 
 QUICK = Sizes(("w", "r85", "s1"), 1, 2, 4_000, Resolution(0.1, 8))
-FULL = Sizes(END_EFFECTORS, None, 10, 20_000, QUICK_GRID)
+FULL = Sizes(END_EFFECTORS, 4, 10, 20_000, QUICK_GRID)
 
 
 def run_cross_effector(session: Session) -> Report:
@@ -124,14 +124,12 @@ def measure_transfer(problem: RegraspProblem, model: EnergyModel, pairs: list[In
     """
     problem = resident(problem)
     energy = GraspEnergy(model, problem.grasps)
-    bounds, rows = problem.workcell.bounds.array, []
+    rows = []
     for instance in pairs:
-        ends = np.stack([instance.start, instance.goal])
-        feasible = np.array([problem.feasible_grasps(T) for T in ends])
-        task = OneStepTask(energy, problem.placement_poses, bounds, ends, feasible)
+        task = OneStepTask.between(problem, energy, instance.ends)
         rng = np.random.default_rng([seed, 61])
         found = generate(task, GENERATORS["lattice"](), CostOptions(), PER_PLACEMENT, rng).take(slice(0, K_TOP))
-        valid = verdicts(problem.checker, task.poses(found.placements[:, 0], found.xi[:, 0]), feasible)
+        valid = verdicts(problem.checker, task.poses(found.placements[:, 0], found.xi[:, 0]), task.feasible)
         rows.append({"pair": instance.name, "sv": float(valid.mean())})
     return rows
 

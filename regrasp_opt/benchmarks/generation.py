@@ -12,10 +12,11 @@ from typing import Literal
 
 import numpy as np
 
-from regrasp_opt.connectivity import BLOCKED, CostOptions, SequenceObjective, exact_energy
+from regrasp_opt.connectivity import BLOCKED, CostOptions, SequenceObjective, TableRule, exact_energy
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, planar_transform
 from regrasp_opt.energy.model import GraspEnergy
 from regrasp_opt.feasibility import FeasibilityChecker
+from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.solvers import Candidates, LangevinRefiner, LatticeRefiner, PoseLattice, Refiner
 from regrasp_opt.solvers.lattice import shared_cost
 
@@ -62,6 +63,8 @@ class OneStepTask:
         Start and goal.
     feasible : (2, G) bool
         Exact feasibility at both.
+    table_rule : TableRule
+        As of `SequenceObjective`; the generator with learned ends does without.
     """
 
     energy: GraspEnergy
@@ -69,11 +72,25 @@ class OneStepTask:
     bounds: FloatArray
     ends: FloatArray
     feasible: BoolArray
+    table_rule: TableRule
+
+    @staticmethod
+    def between(problem: RegraspProblem, energy: GraspEnergy, ends: FloatArray) -> OneStepTask:
+        """Return the task of `problem` between the two poses `ends` (2, 4, 4) with `energy` for its grasps."""
+        feasible = np.array([problem.feasible_grasps(T) for T in ends])
+        bounds = problem.workcell.bounds.array
+        return OneStepTask(energy, problem.placement_poses, bounds, ends, feasible, problem.table_rule)
+
+    @property
+    def possible(self) -> bool:
+        """Whether some grasp is feasible at each end."""
+        return bool(self.feasible.any(axis=1).all())
 
     def objective(self, generator: Generator, options: CostOptions) -> SequenceObjective:
         """Return the cost that `generator` minimises."""
         start, goal = self._end_energies(generator.ends)
-        return SequenceObjective(self.energy, self.placements, start, goal, self.bounds, options)
+        known = None if generator.ends == "learned" else self.table_rule
+        return SequenceObjective(self.energy, self.placements, start, goal, self.bounds, options, known)
 
     def poses(self, placements: IntArray, xi: FloatArray) -> FloatArray:
         """Return object poses (B, 4, 4) of placement numbers (B,) and planar parameters (B, 3) (Eq. 6)."""
@@ -107,7 +124,7 @@ def generate(
         starts = _random_starts(objective, per_placement, rng)
     else:
         if lattice is None:
-            lattice = PoseLattice.build(task.energy, task.placements, task.bounds)
+            lattice = PoseLattice.build(task.energy, task.placements, task.bounds, table_rule=task.table_rule)
         starts = _lattice_starts(lattice, objective, per_placement)
     refined = generator.refiner.refine(objective, starts, rng).candidates
     return refined.best(len(refined))

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from regrasp_opt.benchmarks.instances import TIERS, Instance, choose_instances, instances_hash
+from regrasp_opt.benchmarks.oracle import Resolution
 from regrasp_opt.benchmarks.planners import plan_row
 from regrasp_opt.benchmarks.report import Cell, Report, Table, mean, percent
 from regrasp_opt.benchmarks.runner import Item, Row
@@ -49,7 +50,7 @@ FULL = Sizes(
     4,
     True,
     {"1": 1, "2": 6, "3+": 12, "unsolvable": 1},
-    {"1": 20, "2": 60, "3+": 60, "unsolvable": 20},
+    {"1": 20, "2": 60, "3+": 60, "unsolvable": 10},
 )
 
 
@@ -72,10 +73,11 @@ def narrowed(cell: Workcell) -> Workcell:
 
 @dataclass(frozen=True, eq=False)
 class Condition:
-    """One way to make pairs hard: the problem of all grasps in its workcell, and the grasps that are left."""
+    """One way to make pairs hard: the problem of all grasps in its workcell, the oracle's grid, the grasps left."""
 
     label: str
     problem: RegraspProblem
+    grid: Resolution
     ids: IntArray
 
     @property
@@ -86,24 +88,24 @@ class Condition:
 
 def conditions(session: Session, problem: RegraspProblem, sizes: Sizes) -> Iterator[Condition]:
     """Yield the conditions for one object; a workcell for which no model can be prepared is left out."""
-    problems = [("table", problem)]
+    problems = [("table", problem, session.grid)]
     if sizes.workcells:
-        for label, cell in (
-            ("obstacles", with_obstacles(problem.workcell)),
-            ("narrow", narrowed(problem.workcell)),
+        for label, cell, grid in (
+            ("obstacles", with_obstacles(problem.workcell), session.coarse_grid),
+            ("narrow", narrowed(problem.workcell), session.grid),
         ):
             try:
-                problems.append((label, session.prepared(problem, cell)))
+                problems.append((label, session.prepared(problem, cell), grid))
             except RegraspError:
                 continue
-    for number, (label, candidate) in enumerate(problems):
+    for number, (label, candidate, grid) in enumerate(problems):
         count = len(candidate.grasps)
         if number > 0:
-            yield Condition(f"{label}, {count} grasps", candidate, np.arange(count))
+            yield Condition(f"{label}, {count} grasps", candidate, grid, np.arange(count))
         for size in sizes.grasps:
             for repeat in range(sizes.subsets):
                 ids = np.sort(session.rng(30, number, size, repeat).permutation(count)[:size])
-                yield Condition(f"{label}, {size} grasps, set {repeat}", candidate, ids)
+                yield Condition(f"{label}, {size} grasps, set {repeat}", candidate, grid, ids)
 
 
 def hard_instances(session: Session, name: str, problem: RegraspProblem) -> list[tuple[Condition, Instance]]:
@@ -111,7 +113,9 @@ def hard_instances(session: Session, name: str, problem: RegraspProblem) -> list
     sizes = QUICK if session.quick else FULL
     found: dict[str, list[tuple[int, Condition, Instance]]] = {tier: [] for tier in TIERS}
     for number, condition in enumerate(conditions(session, problem, sizes)):
-        oracle = session.oracle(f"{name}, {condition.label}", condition.problem).with_grasps(condition.ids)
+        oracle = session.oracle(f"{name}, {condition.label}", condition.problem, condition.grid).with_grasps(
+            condition.ids
+        )
         pool = session.pool(condition.problem).with_grasps(condition.ids)
         for tier, count in sizes.each.items():
             prefix = f"{name}/{condition.label}"

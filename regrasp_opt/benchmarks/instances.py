@@ -38,6 +38,11 @@ class Instance:
     minimum: int | None
 
     @property
+    def ends(self) -> FloatArray:
+        """Start and goal (2, 4, 4)."""
+        return np.stack([self.start, self.goal])
+
+    @property
     def tier(self) -> str:
         """Name of the difficulty: 0, 1, 2, 3+ or unsolvable (at the oracle's resolution)."""
         if self.minimum is None:

@@ -18,7 +18,7 @@ from plotly.subplots import make_subplots
 
 from regrasp_opt.benchmarks.generation import GENERATORS, OneStepTask, distinct, generate, verdicts
 from regrasp_opt.benchmarks.instances import Instance, choose_instances, instances_hash
-from regrasp_opt.benchmarks.oracle import PAPER_GRID, Oracle
+from regrasp_opt.benchmarks.oracle import Oracle
 from regrasp_opt.benchmarks.paper import ONE_STEP, PAPER_OBJECT
 from regrasp_opt.benchmarks.report import Figure, Report, Table, percent
 from regrasp_opt.benchmarks.runner import Item, Row
@@ -73,12 +73,12 @@ def _run(session: Session, *, unseen: bool) -> Report:
     hashes: dict[str, str] = {}
     truth: dict[str, Oracle] = {}
     for name, problem in usable(subjects):
-        oracle = session.oracle(name, problem, None if session.quick else PAPER_GRID)
+        oracle = session.oracle(name, problem)
         rng = session.rng(10)
         chosen = choose_instances(session.pool(problem), oracle, {"1": PAIRS[session.quick]}, rng, name)
         if unseen:
             problem = _with_unseen_grasps(problem)
-            oracle = session.oracle(f"{name}, unseen grasps", problem)
+            oracle = session.oracle(f"{name}, unseen grasps", problem, session.coarse_grid)
         truth[name], hashes[name] = oracle, instances_hash(chosen)
         methods = UNSEEN_METHODS if unseen else tuple(METHODS)
         for instance in chosen:
@@ -155,21 +155,19 @@ def measure_pair(
         Return a row for each of the cheapest poses as well.
     """
     problem = resident(problem)
-    ends = np.stack([instance.start, instance.goal])
-    feasible = np.array([problem.feasible_grasps(T) for T in ends])
-    if not feasible.any(axis=1).all():
+    task = OneStepTask.between(problem, problem.energy, instance.ends)
+    if not task.possible:
         return [{"skipped": "no grasp of this set is feasible at one of the ends"}]
     _, name, variant = METHODS[method]
     generator = GENERATORS[name]()
-    task = OneStepTask(problem.energy, problem.placement_poses, problem.workcell.bounds.array, ends, feasible)
     options = CostOptions(variant=variant, h=problem.energy.model.threshold)
     lattice = problem.lattice if generator.starts == "lattice" else None
     began = time.perf_counter()
     found = generate(task, generator, options, starts, np.random.default_rng([seed, 11]), lattice)
     seconds = round(time.perf_counter() - began, 3)
     placements, xi = found.placements[: max(K_TOP), 0], found.xi[: max(K_TOP), 0]
-    valid = verdicts(problem.checker, task.poses(placements, xi), feasible)
-    direct = bool(feasible.all(axis=0).any())
+    valid = verdicts(problem.checker, task.poses(placements, xi), task.feasible)
+    direct = bool(task.feasible.all(axis=0).any())
     rows: list[Row] = [
         {
             "k_top": k,

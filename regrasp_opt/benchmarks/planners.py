@@ -109,6 +109,7 @@ def effort(plan: RegraspPlan) -> Row:
         "seconds": round(plan.timings["total"], 4),
         "first_proof": round(first, 4) if plan.solved else None,
         "iterations": int(sum(np.sum(entry.get("iterations", 0)) for entry in stats)),
+        "evaluations": sum(int(entry.get("evaluations", 0)) for entry in stats),
         "solves": sum(int(entry.get("solves", 0)) for entry in stats),
         "converged": sum(int(entry.get("converged", 0)) for entry in stats),
         "threshold_passed": any(entry.get("threshold_passed", 0) > 0 for entry in stats),

@@ -10,7 +10,7 @@ import numpy as np
 from rich.progress import TaskID
 
 from regrasp_opt.benchmarks.instances import PosePool
-from regrasp_opt.benchmarks.oracle import Oracle, Resolution, build_oracle
+from regrasp_opt.benchmarks.oracle import PAPER_GRID, Oracle, Resolution, build_oracle
 from regrasp_opt.benchmarks.runner import Item, Results, Row, progress_bar, run_items
 from regrasp_opt.benchmarks.subjects import (
     DEFAULT_WORKCELL,
@@ -28,8 +28,8 @@ from regrasp_opt.workcell import Workcell, load_workcell
 QUICK_GRID = Resolution(0.06, 12)
 """The oracle of quick runs."""
 
-FULL_GRID = Resolution(0.03, 24)
-"""The oracle of full runs."""
+COARSE_GRID = Resolution(0.04, 12)
+"""The oracle of full runs for other grasps and other workcells than the experiments' own."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,12 @@ class Session:
     @property
     def grid(self) -> Resolution:
         """Resolution of the oracle."""
-        return QUICK_GRID if self.quick else FULL_GRID
+        return QUICK_GRID if self.quick else PAPER_GRID
+
+    @property
+    def coarse_grid(self) -> Resolution:
+        """Resolution of the oracle for other grasps or another workcell."""
+        return QUICK_GRID if self.quick else COARSE_GRID
 
     def bodies(self) -> tuple[dict[str, ObjectModel], list[Row]]:
         """Return the objects by name, and one row for each mesh that is none, with the reason."""

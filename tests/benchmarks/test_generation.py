@@ -11,9 +11,7 @@ def task(bottle_problem):
     """Return a pair of bottle poses that share no grasp."""
     pool = PosePool.draw(bottle_problem, 0, 40)
     i, j = np.argwhere((pool.feasible.astype(int) @ pool.feasible.T.astype(int)) == 0)[0]
-    ends, feasible = pool.T[[i, j]], pool.feasible[[i, j]]
-    bounds = bottle_problem.workcell.bounds.array
-    return OneStepTask(bottle_problem.energy, bottle_problem.placement_poses, bounds, ends, feasible)
+    return OneStepTask.between(bottle_problem, bottle_problem.energy, pool.T[[i, j]])
 
 
 @pytest.mark.parametrize("name", GENERATORS)
