@@ -72,6 +72,15 @@ class Refiner(Protocol):
         ...
 
 
+def keep_better(objective: SequenceObjective, starts: Candidates, xi: FloatArray) -> Candidates:
+    """Return `xi` (B, N, 3) as candidates, with the start instead wherever that costs less."""
+    start_cost, cost = (objective.cost(starts.placements, each) for each in (starts.xi, xi))
+    worse = cost > start_cost
+    return Candidates(
+        starts.placements, np.where(worse[:, None, None], starts.xi, xi), np.where(worse, start_cost, cost)
+    )
+
+
 def random_starts(objective: SequenceObjective, num_regrasps: int, count: int, rng: np.random.Generator) -> Candidates:
     """Return `count` sequences of random placements at uniform planar parameters (Alg. 1, line 2)."""
     placements = rng.integers(len(objective.placements), size=(count, num_regrasps))

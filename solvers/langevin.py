@@ -15,7 +15,7 @@ import numpy as np
 from regrasp_opt.connectivity import BLOCKED, SequenceObjective, sequence_cost
 from regrasp_opt.energy.activations import torch_activation
 from regrasp_opt.errors import OptionError
-from regrasp_opt.solvers.base import Candidates, Refinement, wrap_yaw
+from regrasp_opt.solvers.base import Candidates, Refinement, keep_better, wrap_yaw
 from regrasp_opt.threads import one_torch_thread
 
 if TYPE_CHECKING:
@@ -81,14 +81,13 @@ class LangevinRefiner:
                 traces.append(trace)
         xi = wrap_yaw(np.concatenate(parts)) if parts else np.array(starts.xi)
         xi[..., :2] = np.clip(xi[..., :2], *objective.bounds)  # single precision may leave them by rounding
-        cost = objective.cost(starts.placements, xi)
         if self.keep_best:
-            start_cost = objective.cost(starts.placements, starts.xi)
-            worse = cost > start_cost
-            xi, cost = np.where(worse[:, None, None], starts.xi, xi), np.where(worse, start_cost, cost)
+            refined = keep_better(objective, starts, xi)
+        else:
+            refined = Candidates(starts.placements, xi, objective.cost(starts.placements, xi))
         trace = np.concatenate(traces, axis=1) if traces else np.zeros((0, 0))
         return Refinement(
-            Candidates(starts.placements, xi, cost),
+            refined,
             ("finished",) * len(starts),
             tuple(trace.T.astype(np.float64)),
             {"iterations": self.iterations, "evaluations": trace.size, "mean_cost": trace.mean(axis=1).tolist()},

@@ -22,7 +22,7 @@ from regrasp_opt.connectivity.casadi_costs import layers_parameter
 from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.energy.casadi_energy import CasadiEnergy
 from regrasp_opt.energy.model import GraspEnergy
-from regrasp_opt.solvers.base import Candidates, Refinement, wrap_yaw
+from regrasp_opt.solvers.base import Candidates, Refinement, keep_better, wrap_yaw
 from regrasp_opt.solvers.program import ProgramOptions, SequenceProgram
 
 ACTIVE_SIZES = (8, 16, 24, 32, 48, 64, 96, 128, 192)
@@ -70,8 +70,7 @@ class NlpRefiner:
             "evaluations": sum(solve.evaluations for solve in solves),
             "statuses": {name: status.count(name) for name in sorted(set(status))},
         }
-        cost = np.array([solve.cost for solve in solves])
-        refined = Candidates(starts.placements, wrap_yaw(xi), cost)
+        refined = keep_better(objective, starts, wrap_yaw(xi))
         return Refinement(refined, status, tuple(solve.trace for solve in solves), stats)
 
     def _program(self, objective: SequenceObjective, num_regrasps: int, grasps: int) -> SequenceProgram:

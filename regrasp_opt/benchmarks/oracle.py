@@ -174,7 +174,10 @@ def _check_block(problem: RegraspProblem, number: int, placements: IntArray, xi:
     problem = resident(problem)
     began = time.process_time()
     poses = planar_transform(xi) @ problem.placement_poses[placements]
-    feasible = np.array([problem.checker.feasible(T) for T in poses])
+    open_ = ~problem.table_rule(placements, xi)
+    feasible = np.zeros_like(open_)
+    for row, T, ids in zip(feasible, poses, map(np.flatnonzero, open_), strict=True):
+        row[ids] = problem.checker.feasible(T, ids)
     return number, _Block(feasible, time.process_time() - began)
 
 

@@ -70,6 +70,7 @@ class CollisionScene:
         _forget_results(self.geometry_data)
         # bounding boxes first, each grown by the margins: exact, and three to four times faster than all pairs
         self._boxes_first = pin.BroadPhaseManager_NaiveCollisionManager(self.model, self.geometry, self.geometry_data)
+        self._placed = b""
         surroundings = {self.table, self.object, *self.obstacles}
         self._measured = np.array([(i, j, k) for k, (i, j, _) in enumerate(pairs) if j in surroundings])
         self._centers, self._radii = self._bounding_spheres()
@@ -94,6 +95,10 @@ class CollisionScene:
 
     def place_object(self, T: FloatArray) -> None:
         """Put the object at `T` T_world_object."""
+        key = np.asarray(T, dtype=np.float64).tobytes()
+        if key == self._placed:
+            return
+        self._placed = key
         self.geometry.geometryObjects[self.object].placement = self._T_base_world * pin.SE3(T)
 
     def set_grasp(self, grasp_id: int) -> None:

@@ -2,6 +2,10 @@ import csv
 import json
 import logging
 import os
+import signal
+import threading
+import time
+from pathlib import Path
 
 import joblib
 import pytest
@@ -94,14 +98,47 @@ def test_a_dask_scheduler_that_does_not_exist_is_one_sentence():
         pass
 
 
-def test_a_dask_cluster_does_the_work(tmp_path):
-    distributed = pytest.importorskip("distributed")
-    with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
-        dask_cluster(cluster.scheduler_address),
-    ):
+@pytest.fixture(scope="module")
+def cluster():
+    """Return a scheduler and two worker processes on loopback."""
+    from distributed import LocalCluster
+
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as running:
+        yield running
+
+
+def test_a_dask_cluster_does_the_work(cluster):
+    with dask_cluster(cluster.scheduler_address):
         workers = set(in_parallel((joblib.delayed(os.getpid)() for _ in range(8)), -1))
     assert workers and os.getpid() not in workers
+
+
+def slow(folder, number):
+    """Leave the number of this process behind, work for a while, and return one row."""
+    with open(Path(folder) / f"pid-{number}", "a", encoding="utf-8") as file:
+        file.write(f"{os.getpid()}\n")
+    time.sleep(0.5)
+    return [{"square": number**2}]
+
+
+def test_a_killed_worker_loses_and_doubles_nothing(cluster, tmp_path):
+    todo = [Item(f"slow {i}", "a", slow, (str(tmp_path), i), {"number": i}) for i in range(12)]
+
+    def kill_the_first():
+        while not (found := sorted(tmp_path.glob("pid-*"))):
+            time.sleep(0.05)
+        os.kill(int(found[0].read_text(encoding="utf-8").split()[0]), signal.SIGKILL)
+
+    killer = threading.Thread(target=kill_the_first)
+    killer.start()
+    with dask_cluster(cluster.scheduler_address):
+        rows = run_items(todo, tmp_path / "items", quiet=True).rows
+    killer.join()
+    assert rows == [{"number": i, "square": i**2} for i in range(12)]
+    assert (
+        sum(len(path.read_text(encoding="utf-8").split()) for path in tmp_path.glob("pid-*")) > 12
+    )  # what was lost ran again
+    assert run_items(todo, tmp_path / "items", jobs=1, quiet=True).rows == rows
 
 
 def test_without_an_address_nothing_changes():
