@@ -35,7 +35,10 @@ TIME_LIMIT = 120.0
 
 @dataclass(frozen=True)
 class Sizes:
-    """How many instances: grasps in a subset, subsets of each size, pairs of a tier from one condition and in all."""
+    """How many instances: grasps in a subset, subsets of each size, pairs of a tier from one condition and in all.
+
+    The other workcells have one subset of each size.
+    """
 
     grasps: tuple[int, ...]
     subsets: int
@@ -103,7 +106,7 @@ def conditions(session: Session, problem: RegraspProblem, sizes: Sizes) -> Itera
         if number > 0:
             yield Condition(f"{label}, {count} grasps", candidate, grid, np.arange(count))
         for size in sizes.grasps:
-            for repeat in range(sizes.subsets):
+            for repeat in range(sizes.subsets if number == 0 else 1):
                 ids = np.sort(session.rng(30, number, size, repeat).permutation(count)[:size])
                 yield Condition(f"{label}, {size} grasps, set {repeat}", candidate, grid, ids)
 

@@ -27,9 +27,9 @@ TEXT = (
 GRAPH = "regrasp graph"
 UNPREPARED = ("random poses",)
 """Planners that need no model."""
-PAIRS = {True: 2, False: 6}
+PAIRS = {True: 2, False: 5}
 """Pairs an object with all grasps, in quick and in full runs."""
-HARD = {True: {"2": 1, "3+": 1}, False: {"2": 4, "3+": 4}}
+HARD = {True: {"2": 1, "3+": 1}, False: {"2": 3, "3+": 3}}
 """Pairs of the hard tiers an object, in quick and in full runs."""
 TIME_LIMIT = {True: 20.0, False: 30.0}
 """Seconds after which a planner gives up."""
