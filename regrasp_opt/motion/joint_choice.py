@@ -7,7 +7,8 @@ stays, from place to the next pick it may change. Bounds on clearance and manipu
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from scipy.spatial.distance import cdist
 
 from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.feasibility import FeasibilityChecker
-from regrasp_opt.motion.joint_measures import JointChoice, Measure, manipulability
+from regrasp_opt.motion.joint_measures import ROUNDING, Bounds, JointChoice, Measure, manipulability, travel
 
 
 class States(NamedTuple):
@@ -49,34 +50,61 @@ def states_at(checker: FeasibilityChecker, T: FloatArray, grasp_ids: IntArray) -
     return States(np.array(ids, dtype=np.int64), stacked, np.array(clearance, dtype=np.float64), skill)
 
 
-def best_choice(
+def best_choices(
     layers: Sequence[tuple[States, States]],
     minimise: Measure,
-    floors: Mapping[Measure, float],
+    bounds: Bounds,
     home: FloatArray | None = None,
-) -> JointChoice | None:
-    """Return the best choice through the `layers` (pick, place) of all transitions, or None where there is none.
+    count: int = 1,
+) -> list[JointChoice]:
+    """Return up to `count` choices through the `layers` (pick, place) of all transitions, the best first.
+
+    Those after the first do without one of its grasps each, in the order of their travel.
 
     Parameters
     ----------
     minimise : Measure
         ``travel`` is minimised; of ``clearance`` and ``manipulability`` the least one is maximised, and travel decides
         between equals.
-    floors : mapping
-        Least clearance and manipulability that a state must have.
+    bounds : Bounds
+        States have at least this clearance and manipulability; bounds on travel and cost are not looked at.
     home : (dof,), optional
         Where the arm starts and ends.
     """
-    for name in ("clearance", "manipulability"):
-        if name in floors:
-            layers = _kept(layers, name, floors[name])
+    layers = _kept(_kept(layers, "clearance", bounds.clearance), "manipulability", bounds.manipulability)
+    best = _best(layers, minimise, home)
+    if best is None or count == 1:
+        return [] if best is None else [best]
+    others = []
+    for i, grasp_id in enumerate(best.grasp_ids):
+        without = [tuple(s.where(s.grasp_ids != grasp_id) for s in pair) for pair in layers[i : i + 1]]
+        other = _best([*layers[:i], *without, *layers[i + 1 :]], minimise, home)  # type: ignore[list-item]
+        others += [] if other is None else [other]
+    others.sort(key=lambda choice: travel(choice.q.reshape(-1, choice.q.shape[-1]), home))
+    return [best, *others][:count]
+
+
+def unreachable(layers: Sequence[tuple[States, States]], bounds: Bounds) -> str:
+    """Return which transition has no state within `bounds` on clearance and manipulability, and by how much."""
+    for i, pair in enumerate(layers):
+        for name, unit in (("clearance", " m"), ("manipulability", "")):
+            best, bound = _bottleneck([pair], name), getattr(bounds, name)
+            if best < bound - ROUNDING:
+                return (
+                    f"transition {i}: the {name} of its best shared grasp is {best:.4g}{unit}, "
+                    f"{bound - best:.2g}{unit} short of the bound of at least {bound:.4g}{unit}"
+                )
+    return "no shared grasp keeps to the bounds on clearance and manipulability at once"
+
+
+def _best(layers: Sequence[tuple[States, States]], minimise: Measure, home: FloatArray | None) -> JointChoice | None:
     if minimise != "travel":
         layers = _kept(layers, minimise, _bottleneck(layers, minimise))
     return _shortest(layers, home)
 
 
 def _kept(layers: Sequence[tuple[States, States]], name: str, floor: float) -> list[tuple[States, States]]:
-    return [tuple(s.where(getattr(s, name) >= floor) for s in pair) for pair in layers]  # type: ignore[misc]
+    return [tuple(s.where(getattr(s, name) >= floor - ROUNDING) for s in pair) for pair in layers]  # type: ignore[misc]
 
 
 def _bottleneck(layers: Sequence[tuple[States, States]], name: str) -> float:
@@ -95,7 +123,7 @@ def _shortest(layers: Sequence[tuple[States, States]], home: FloatArray | None) 
         return None
     ends = [np.zeros(len(s.q)) if home is None else np.linalg.norm(s.q - home, axis=1) for s in (states[0], states[-1])]
     value, parents = ends[0], []
-    for number, (before, after) in enumerate(zip(states[:-1], states[1:], strict=True)):
+    for number, (before, after) in enumerate(itertools.pairwise(states)):
         length = value[:, None] + cdist(before.q, after.q)
         if number % 2 == 0:
             length[before.grasp_ids[:, None] != after.grasp_ids[None]] = np.inf

@@ -6,16 +6,21 @@ which configurations. The first grasp listed by each transition is the choice th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
 
 from regrasp_opt.conventions import FloatArray, IntArray
-from regrasp_opt.planning import RegraspPlan
+from regrasp_opt.planning import RegraspPlan, RegraspProblem
 from regrasp_opt.robots import Robot
 from regrasp_opt.robots.casadi_kinematics import flange_jacobian
+
+ROUNDING = 1e-6
+"""How far a measure may be from its bound [its unit]."""
 
 Measure = Literal["travel", "clearance", "manipulability"]
 MEASURES: tuple[Measure, ...] = ("travel", "clearance", "manipulability")
@@ -65,6 +70,38 @@ class JointMeasures:
         return value if measure == "travel" else -value
 
 
+@dataclass(frozen=True)
+class Bounds:
+    """What measures must keep to: the most travel [rad] and cost, the least clearance [m] and manipulability."""
+
+    travel: float = math.inf
+    clearance: float = 0.0
+    manipulability: float = 0.0
+    cost: float = math.inf
+
+    def tightened(self, measures: JointMeasures, names: Iterable[Measure]) -> Bounds:
+        """Return these bounds, those of `names` no looser than `measures`."""
+        values = {
+            name: (min if name == "travel" else max)(getattr(self, name), getattr(measures, name)) for name in names
+        }
+        return replace(self, **values)
+
+    def shortfall(self, measures: JointMeasures) -> str:
+        """Return the first bound that `measures` break and by how much, in words; empty where all hold."""
+        for name, unit, sign in (
+            ("travel", " rad", 1),
+            ("clearance", " m", -1),
+            ("manipulability", "", -1),
+            ("cost", "", 1),
+        ):
+            value, bound = getattr(measures, name), getattr(self, name)
+            excess = sign * (value - bound)
+            if excess > ROUNDING:
+                limit = f"at {'most' if sign > 0 else 'least'} {bound:.4g}{unit}"
+                return f"the {name} is {value:.4g}{unit}, {excess:.2g}{unit} off the bound of {limit}"
+        return ""
+
+
 def first_choice(plan: RegraspPlan) -> JointChoice:
     """Return the choice that `plan` stands for: the first grasp of each transition."""
     q = [np.stack([t.q_pick[0], t.q_place[0]]) for t in plan.transitions]
@@ -72,26 +109,22 @@ def first_choice(plan: RegraspPlan) -> JointChoice:
 
 
 def measure_choice(
-    plan: RegraspPlan, choice: JointChoice, home: FloatArray | None = None, cost: float | None = None
+    problem: RegraspProblem, poses: FloatArray, choice: JointChoice, home: FloatArray | None, cost: float
 ) -> JointMeasures:
-    """Return the measures of `choice` at the poses of `plan`.
+    """Return the measures of `choice` at `poses` (N+2, 4, 4), whose ``J_seq`` is `cost`; `home` as of `travel`."""
+    least = clearances(problem, poses, choice).min()
+    q = choice.q.reshape(-1, problem.workcell.robot.dof)
+    skill = manipulability(problem.workcell.robot, q).min()
+    return JointMeasures(travel(q, home), float(least), float(skill), float(cost))
 
-    Parameters
-    ----------
-    home : (dof,), optional
-        Where the arm starts and ends [rad, m].
-    cost : float, optional
-        ``J_seq`` of the poses, where it is not that of `plan`.
-    """
-    checker, robot = plan.problem.checker, plan.problem.workcell.robot
-    clearances = [
-        checker.clearance(plan.poses[i + side], grasp_id, choice.q[i, side])
-        for i, grasp_id in enumerate(choice.grasp_ids.tolist())
-        for side in (0, 1)
+
+def clearances(problem: RegraspProblem, poses: FloatArray, choice: JointChoice) -> FloatArray:
+    """Return the clearances (N+1, 2) of `choice` at pick and place [m], `poses` being (N+2, 4, 4)."""
+    values = [
+        problem.checker.clearance(poses[i + side], int(choice.grasp_ids[i]), choice.q[i, side])
+        for i, side in np.ndindex(choice.q.shape[:2])
     ]
-    q = choice.q.reshape(-1, robot.dof)
-    least = min(clearances), manipulability(robot, q).min()
-    return JointMeasures(travel(q, home), float(least[0]), float(least[1]), plan.cost if cost is None else cost)
+    return np.array(values, dtype=np.float64).reshape(-1, 2)
 
 
 def travel(q: FloatArray, home: FloatArray | None = None) -> float:
