@@ -183,7 +183,7 @@ def solve_joint(
     robot, size = problem.workcell.robot, len(task.xi)
     xi, q, least = ca.MX.sym("xi", 3, size), ca.MX.sym("q", robot.dof, 2 * size + 2), ca.MX.sym("least")
     poses = [ca.MX(ca.DM(task.ends[0]))]
-    poses += [_planar(xi[:, i]) @ ca.MX(ca.DM(T)) for i, T in enumerate(task.placements)]
+    poses += [planar(xi[:, i]) @ ca.MX(ca.DM(T)) for i, T in enumerate(task.placements)]
     poses += [ca.MX(ca.DM(task.ends[1]))]
     rows = _Rows()
     for i in range(size + 1):
@@ -277,7 +277,7 @@ def _add_totals(rows: _Rows, task: JointTask, xi: Any, q: Any, least: Any) -> An
     return objective
 
 
-def _planar(xi: Any) -> Any:
+def planar(xi: Any) -> Any:
     """Return ``dT(xi)`` (4, 4) of one column of planar parameters (3, 1) (Eq. 6)."""
     c, s = ca.cos(xi[2]), ca.sin(xi[2])
     T = ca.MX.eye(4)
