@@ -59,12 +59,13 @@ class FreeGraspProgram:
         for i, T in enumerate(grasps):
             g = T @ _displacement(d[:, i])
             cost = cost + energy(poses[i], g, width[i]) + energy(poses[i + 1], g, width[i])
-        program = {
+        program: dict[str, Any] = {
             "x": ca.vertcat(ca.vec(xi), ca.vec(d)),
             "p": ca.vertcat(ca.vec(fixed), width),
             "f": cost,
         }
-        self._solver = ca.nlpsol("free_grasps", "ipopt", program, {"print_time": False, "ipopt": IPOPT})
+        settings: dict[str, Any] = {"print_time": False, "ipopt": IPOPT}
+        self._solver = ca.nlpsol("free_grasps", "ipopt", program, settings)
 
     def solve(
         self,

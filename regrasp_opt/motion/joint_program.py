@@ -235,9 +235,8 @@ def _add_configuration(
     i, side = which
     where = f"transition {i}, {('pick', 'place')[side]}"
     residual, _ = functions.residual(q, T @ ca.MX(ca.DM(task.T_object_flange[i])))
-    names = [f"{where}: the position of the grasp"] * 3, [f"{where}: the direction of the grasp"] * 3
-    rows.add(residual[:3], 0.0, 0.0, names[0], POSITION_UNIT, " m")
-    rows.add(residual[3:], 0.0, 0.0, names[1], 1.0, " rad")
+    rows.add(residual[:3], 0.0, 0.0, [f"{where}: the position of the grasp"] * 3, POSITION_UNIT, " m")
+    rows.add(residual[3:], 0.0, 0.0, [f"{where}: the direction of the grasp"] * 3, 1.0, " rad")
 
     clearances, floor = functions.clearances, task.bounds.clearance
     start = task.poses(task.xi)[i + side]
@@ -245,8 +244,8 @@ def _add_configuration(
     wanted = np.where(clearances.measured, np.maximum(floor - clearances.required, 0.0), 0.0)
     values = clearances.function(q, T, task.width[i])
     names = [f"{where}: the clearance of {name}" for name in clearances.names]
-    low = np.minimum(wanted if task.reached else 0.0, margin)
-    rows.add(values, np.where(wanted > 0, wanted, low) if not task.reached else low, np.inf, names, 1.0, " m")
+    low = np.minimum(wanted, margin) if task.reached else np.where(wanted > 0, wanted, np.minimum(margin, 0.0))
+    rows.add(values, low, np.inf, names, 1.0, " m")
     if task.minimise == "clearance":
         measured = np.flatnonzero(clearances.measured).tolist()
         distance = values[measured] + clearances.required[measured]

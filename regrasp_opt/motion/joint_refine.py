@@ -98,7 +98,7 @@ def refine_plan(
     OptionError, UnknownNameError
         If the plan is not solved, `home` does not fit the robot, or a measure is unknown.
     """
-    held = [hold] if isinstance(hold, str) else list(hold)
+    held: list[Any] = [hold] if isinstance(hold, str) else list(hold)
     for name in (minimise, *held):
         if name not in MEASURES:
             raise UnknownNameError("measure", str(name), MEASURES)

@@ -114,7 +114,8 @@ class JointSearch:
 
     def run(self) -> Candidate | None:
         """Return the best candidate, or None where no program could be solved and proved; `trouble` says why."""
-        best, xi = None, self._plan.xi
+        best: Candidate | None = None
+        xi = self._plan.xi
         shared = [t.grasp_ids for t in self._plan.transitions]
         for number in range(self.options.rounds):
             choices = self._choices(xi, shared)
