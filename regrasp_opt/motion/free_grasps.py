@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from regrasp_opt.connectivity import CostOptions, exact_energy, sequence_cost
+from regrasp_opt.connectivity import CostOptions, SequenceObjective, exact_energy
 from regrasp_opt.conventions import FloatArray, IntArray, planar_transform
 from regrasp_opt.energy.model import GraspEnergy
 from regrasp_opt.errors import OptionError
@@ -287,10 +287,12 @@ class _Search:
         xi: FloatArray,
         transitions: tuple[Transition, ...],
     ) -> RegraspPlan:
-        energies = problem.energy(poses)
-        for end in (0, -1):
-            energies[end] = exact_energy(problem.checker.feasible(poses[end]))
-        cost = float(sequence_cost(energies, CostOptions()))
+        start, goal = (exact_energy(problem.checker.feasible(poses[end])) for end in (0, -1))
+        bounds = problem.workcell.bounds.array
+        objective = SequenceObjective(
+            problem.energy, problem.placement_poses, start, goal, bounds, CostOptions(), problem.table_rule
+        )
+        cost = float(objective.cost(placements[None], xi[None])[0])
         stats = [{"refiner": "free grasps", "num_regrasps": len(xi), "grown": len(self.pool.T) - self.pool.sampled}]
         return RegraspPlan(Status.SOLVED, poses, placements, xi, transitions, cost, {}, stats, self.seed, problem)
 

@@ -89,6 +89,8 @@ def unreachable(layers: Sequence[tuple[States, States]], bounds: Bounds) -> str:
     for i, pair in enumerate(layers):
         for name, unit in (("clearance", " m"), ("manipulability", "")):
             best, bound = _bottleneck([pair], name), getattr(bounds, name)
+            if best == -np.inf:
+                return f"transition {i}: no shared grasp has a free configuration"
             if best < bound - ROUNDING:
                 return (
                     f"transition {i}: the {name} of its best shared grasp is {best:.4g}{unit}, "

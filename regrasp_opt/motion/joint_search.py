@@ -15,7 +15,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from regrasp_opt.connectivity import exact_energy
+from regrasp_opt.connectivity import CostOptions, SequenceObjective, block, exact_energy
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.errors import OptionError
 from regrasp_opt.motion.joint_choice import best_choices, states_at, unreachable
@@ -106,25 +106,28 @@ class JointSearch:
         if self.problem not in _functions:
             _functions[self.problem] = joint_functions(self.problem)
         self._functions = _functions[self.problem]
+        self._objective: SequenceObjective | None = None
         self._cost = None
         if self.problem.model_folder is not None:
-            start, goal = (exact_energy(end.all()) for end in self._ends)
-            energy, placements = self.problem.energy, plan.placements.tolist()
-            self._cost = energy.casadi_functions(start=start, goal=goal, placements=placements).J_seq
+            self._objective, self._cost = _connectivity(plan, self._ends)
 
     def run(self) -> Candidate | None:
         """Return the best candidate, or None where no program could be solved and proved; `trouble` says why."""
         best: Candidate | None = None
+        short = ""
         xi = self._plan.xi
         shared = [t.grasp_ids for t in self._plan.transitions]
         for number in range(self.options.rounds):
             choices = self._choices(xi, shared)
+            short = short or self.trouble
             as_they_are = [c for c in (self._candidate(xi, choice) for choice in choices[:1]) if c is not None]
-            if number == 0 and as_they_are:
-                self.discrete = as_they_are[0].measures
+            if number == 0:
+                short = short or self.trouble
+                self.discrete = as_they_are[0].measures if as_they_are else None
             new = [choice for choice in choices if best is None or not _same(choice, best.choice)]
             solved = [c for c in (self._solved(xi, choice) for choice in new) if c is not None]
             if best is None and not solved:
+                self.trouble = "; ".join(dict.fromkeys(text for text in (short, self.trouble) if text))
                 return None
             before = best
             best = min([*([] if best is None else [best]), *as_they_are, *solved], key=self._loss)
@@ -210,13 +213,12 @@ class JointSearch:
 
     def _candidate(self, xi: FloatArray, choice: JointChoice) -> Candidate | None:
         """Return a choice at the poses of `xi` if the exact checker proves it and it keeps to the bounds."""
-        self.trouble = self._refusal(xi, choice) or self.trouble
-        if self._refusal(xi, choice):
-            return None
-        measures = self._measures(xi, choice)
-        shortfall = self.bounds.shortfall(measures)
-        if shortfall:
-            self.trouble = shortfall
+        refusal = self._refusal(xi, choice)
+        if not refusal:
+            measures = self._measures(xi, choice)
+            refusal = self.bounds.shortfall(measures)
+        if refusal:
+            self.trouble = refusal
             return None
         return Candidate(xi, choice, measures)
 
@@ -240,8 +242,30 @@ class JointSearch:
         return ""
 
     def _measures(self, xi: FloatArray, choice: JointChoice) -> JointMeasures:
-        cost = self._plan.cost if self._cost is None else float(self._cost(xi.T))
+        cost = self._plan.cost
+        if self._objective is not None:
+            cost = float(self._objective.cost(self._plan.placements[None], xi[None])[0])
         return measure_choice(self.problem, self.poses(xi), choice, self.home, cost)
+
+
+def _connectivity(plan: RegraspPlan, ends: list[PoseKnowledge]) -> tuple[SequenceObjective, Any]:
+    """Return ``J_seq`` with exact ends as an objective and as a `casadi.Function` of ``xi`` (3, N).
+
+    The function applies the table's rule at the first and at the last intermediate pose only.
+    """
+    problem = plan.problem
+    energies = [exact_energy(end.all()) for end in ends]
+    bounds = problem.workcell.bounds.array
+    objective = SequenceObjective(
+        problem.energy, problem.placement_poses, *energies, bounds, CostOptions(), problem.table_rule
+    )
+    if len(plan.xi):
+        ruled_out = problem.table_rule(plan.placements, plan.xi)
+        energies = [block(energies[0], ruled_out[0]), block(energies[1], ruled_out[-1])]
+    functions = problem.energy.casadi_functions(
+        start=energies[0], goal=energies[1], placements=plan.placements.tolist()
+    )
+    return objective, functions.J_seq
 
 
 def _same(a: JointChoice, b: JointChoice) -> bool:
