@@ -12,6 +12,7 @@ in the next round. The exact checker proves each chain, and the planner searches
 from __future__ import annotations
 
 import itertools
+import time
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -120,9 +121,11 @@ def solve_with_free_grasps(
     sampled = solve_sequence(problem, start, goal, max_regrasps=max_regrasps, seed=seed)
     if sampled.solved:
         return sampled
+    begun = time.perf_counter()
     with one_blas_thread():
         search = _Search(problem, sampled.poses[[0, -1]], max_regrasps, seed, options or FreeGraspOptions())
-        return search.run() or sampled
+        plan = search.run() or sampled
+    return replace(plan, timings={**sampled.timings, "free grasps": time.perf_counter() - begun})
 
 
 class _Chain(NamedTuple):

@@ -34,8 +34,8 @@ POSITION_UNIT = 0.1
 CLEARANCE_UNIT, MANIPULABILITY_UNIT = 0.01, 0.01
 """Sizes [m, 1] by which clearance and manipulability are divided in the program."""
 
-FEASIBLE = 1e-6
-"""Violation of a row that still counts as rounding."""
+FEASIBLE = 1e-5
+"""Violation of a row that still counts as rounding; what it leaves undone is settled before the exact check."""
 
 SMOOTHING = 1e-4
 """Lengths of legs are ``sqrt(|dq|^2 + SMOOTHING^2)`` [rad]."""
@@ -220,7 +220,7 @@ def solve_joint(
 IPOPT = {
     "print_level": 0,
     "sb": "yes",
-    "max_iter": 100,
+    "max_iter": 60,
     "tol": 1e-4,
     "constr_viol_tol": 1e-7,
     "mu_init": 1e-3,

@@ -6,6 +6,7 @@ Where nothing better can be proved, the plan that was given is returned as it wa
 from __future__ import annotations
 
 import itertools
+import time
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -104,6 +105,7 @@ def refine_plan(
             raise UnknownNameError("measure", str(name), MEASURES)
     if not plan.solved:
         raise OptionError(f"the plan is not solved ({plan.status.name.lower()}); refine a solved plan")
+    begun = time.perf_counter()
     at_home = None if home is None else _checked_home(home, plan.problem)
     with one_blas_thread():
         before = measure_choice(plan.problem, plan.poses, first_choice(plan), at_home, plan.cost)
@@ -113,6 +115,7 @@ def refine_plan(
         refined, reason = (None, search.trouble) if best is None else _proved(plan, search, best)
         if best is None or refined is None:
             return JointResult(plan, before, search.discrete, before, reason, search.stats)
+        refined = replace(refined, timings={**plan.timings, "joint": time.perf_counter() - begun})
         return JointResult(refined, before, search.discrete, best.measures, "", search.stats)
 
 

@@ -19,7 +19,7 @@ from regrasp_opt.connectivity import CostOptions, SequenceObjective, block, exac
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.errors import OptionError
 from regrasp_opt.motion.joint_choice import best_choices, states_at, unreachable
-from regrasp_opt.motion.joint_measures import Bounds, JointChoice, JointMeasures, Measure, measure_choice
+from regrasp_opt.motion.joint_measures import Bounds, JointChoice, JointMeasures, Measure, first_choice, measure_choice
 from regrasp_opt.motion.joint_program import POSITION_UNIT, JointFunctions, JointTask, joint_functions, solve_joint
 from regrasp_opt.planning import RegraspPlan, RegraspProblem
 from regrasp_opt.planning.verification import PoseKnowledge
@@ -91,13 +91,8 @@ class JointSearch:
     def __init__(
         self, plan: RegraspPlan, minimise: Measure, bounds: Bounds, home: FloatArray | None, options: SearchOptions
     ) -> None:
-        self.problem, self.minimise, self.bounds, self.home, self.options = (
-            plan.problem,
-            minimise,
-            bounds,
-            home,
-            options,
-        )
+        self.problem, self.minimise, self.bounds = plan.problem, minimise, bounds
+        self.home, self.options = home, options
         self.discrete: JointMeasures | None = None
         self.trouble = ""
         self.stats: list[dict[str, Any]] = []
@@ -123,7 +118,9 @@ class JointSearch:
             as_they_are = [c for c in (self._candidate(xi, choice) for choice in choices[:1]) if c is not None]
             if number == 0:
                 short = short or self.trouble
-                self.discrete = as_they_are[0].measures if as_they_are else None
+                own = self._candidate(xi, first_choice(self._plan))
+                as_they_are += [] if own is None else [own]
+                self.discrete = min(as_they_are, key=self._loss).measures if as_they_are else None
             new = [choice for choice in choices if best is None or not _same(choice, best.choice)]
             solved = [c for c in (self._solved(xi, choice) for choice in new) if c is not None]
             if best is None and not solved:

@@ -157,7 +157,7 @@ def test_the_papers_tables_are_whole():
 
 def test_joint_problem_and_free_grasps(session, monkeypatch):
     monkeypatch.setattr(joint, "PAIRS", {True: 1})
-    monkeypatch.setattr(joint, "THINNED", {True: 3})
+    monkeypatch.setattr(joint, "THINNED", {True: 2})
     monkeypatch.setattr(joint, "MAX_REGRASPS", 1)
     report = joint.run_joint(session)
     rows = check(report, session)
@@ -166,7 +166,7 @@ def test_joint_problem_and_free_grasps(session, monkeypatch):
     assert refined["travel"]["after"] <= refined["travel"]["discrete"] <= refined["travel"]["before"]
     assert refined["clearance"]["after"] >= refined["clearance"]["before"]
     thinned = [row for row in rows if row["measure"] == "free grasps"]
-    assert len(thinned) == 3 and any(row["counts"] for row in thinned)
+    assert len(thinned) == 2 and any(row["counts"] for row in thinned)
     assert all(row["proved"] == (row["status"] == "solved") for row in thinned if row["counts"])
     share = next(row for row in report.tables[-1].rows if row[0] == "all")[3]
     counted = [row["status"] == "solved" for row in thinned if row["counts"]]

@@ -3,20 +3,26 @@
 import itertools
 from dataclasses import replace
 
+import casadi as ca
+import coal
 import numpy as np
 import pytest
 from derivatives import assert_derivative
+from scipy.spatial.transform import Rotation
 
 from regrasp_opt import RegraspPlan, solve_sequence
-from regrasp_opt.conventions import invert
+from regrasp_opt.conventions import invert, translation
 from regrasp_opt.errors import OptionError, UnknownNameError
+from regrasp_opt.feasibility.geometry import shape_geometry
 from regrasp_opt.motion import Bounds, SearchOptions, refine_plan
+from regrasp_opt.motion.joint_bodies import Capsule, _to_obstacle, covering_capsule
 from regrasp_opt.motion.joint_choice import States, best_choices, states_at, unreachable
 from regrasp_opt.motion.joint_measures import JointMeasures, first_choice, manipulability, measure_choice, travel
 from regrasp_opt.motion.joint_program import joint_functions
 from regrasp_opt.motion.joint_search import JointSearch
 from regrasp_opt.planning.tasks import random_task
 from regrasp_opt.robots import load_robot
+from regrasp_opt.shapes import Box, Cylinder, Mesh, surface_points
 
 SHORT = SearchOptions(starts=1, rounds=1)
 
@@ -105,17 +111,67 @@ def test_manipulability_falls_at_a_stretched_arm():
     assert manipulability(robot, stretched[None])[0] < 1e-8 < manipulability(robot, bent[None])[0]
 
 
-def test_capsules_are_never_farther_apart_than_the_bodies(plan, bottle_problem):
-    functions, checker = joint_functions(bottle_problem), bottle_problem.checker
-    rows = functions.clearances
-    transition = plan.transitions[0]
-    for k, grasp_id in enumerate(transition.grasp_ids[:6].tolist()):
-        q, T = transition.q_pick[k], plan.poses[0]
-        values = np.array(rows.function(q, T, bottle_problem.grasps.width[grasp_id])).ravel()
-        distance = (values + rows.required)[rows.measured].min()
-        assert distance >= checker.clearance(T, grasp_id, q) - 0.05
-        links = [name for name, measured in zip(rows.names, rows.measured, strict=True) if measured]
-        assert any(name.endswith("table") for name in links) and any(name.endswith("object") for name in links)
+def inside(points, capsule):
+    """Whether all points (P, 3) lie in a capsule."""
+    along = capsule.b - capsule.a
+    t = np.clip((points - capsule.a) @ along / max(along @ along, 1e-12), 0, 1)
+    return (np.linalg.norm(points - capsule.a - t[:, None] * along, axis=1) <= capsule.radius + 1e-9).all()
+
+
+def test_capsules_hold_their_bodies(bottle_problem):
+    cell = bottle_problem.workcell
+    mesh = Mesh("object", bottle_problem.object.vertices, bottle_problem.object.faces, np.eye(4))
+    for shape in (*cell.end_effector.body, *cell.end_effector.finger_boxes(0.05, 0.005), cell.table.shape, mesh):
+        local = replace(shape, pose=np.eye(4))
+        assert inside(surface_points(local), covering_capsule(shape.name, shape_geometry(shape))), shape.name
+    for item in cell.robot.collision.geometryObjects:
+        capsule = covering_capsule(item.name, item.geometry)
+        if isinstance(item.geometry, coal.Cylinder):
+            local = Cylinder(item.name, item.geometry.radius, 2 * item.geometry.halfLength, np.eye(4))
+            assert inside(surface_points(local), capsule)
+        else:
+            assert isinstance(item.geometry, coal.Sphere) and capsule.radius == item.geometry.radius
+
+
+def test_balls_bound_the_distance_to_a_box_from_below():
+    rng = np.random.default_rng(4)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = Rotation.random(rng=rng).as_matrix(), (0.1, 0.2, 0.3)
+    box = Box("wall", np.array([0.1, 0.3, 0.2]), pose)
+    for _ in range(60):
+        a, b = rng.uniform(-1, 1, (2, 3))
+        length = float(np.linalg.norm(b - a))
+        found = min(float(ca.DM(d)) for d in _to_obstacle(Capsule("link", ca.DM(a), ca.DM(b), 0.05, length), box))
+        R = Rotation.align_vectors([(b - a) / length], [[0, 0, 1]])[0].as_matrix()
+        body = coal.Capsule(0.05, length), coal.Transform3s(R, (a + b) / 2)
+        wall = coal.Box(*box.size), coal.Transform3s(pose[:3, :3], pose[:3, 3])
+        expected = coal.distance(*body, *wall, coal.DistanceRequest(), coal.DistanceResult())
+        if expected > 0:
+            assert expected - 0.01 <= found <= expected + 1e-6
+
+
+def test_obstacles_are_part_of_the_rows(bottle_problem):
+    post = Cylinder("post", 0.03, 0.4, translation(0.3, 0.3, 0.2))
+    wall = Box("wall", np.array([0.02, 0.3, 0.15]), translation(0.0, 0.5, 0.075))
+    cell = replace(bottle_problem.workcell, obstacles=(post, wall))
+    problem = replace(bottle_problem, workcell=cell)
+    functions = joint_functions(problem)
+    names = functions.clearances.names
+    assert all(any(name.endswith(f" and {o}") for name in names) for o in ("post", "wall"))
+    T = problem.pose(0, 0.0, 0.3)
+    values = np.array(functions.object_clearances.function(T)).ravel()
+    assert values.min() > 0
+    near = np.array(functions.object_clearances.function(problem.pose(0, 0.3, 0.3))).ravel()
+    assert near[list(functions.object_clearances.names).index("object and post")] < 0
+
+
+def test_a_plan_without_regrasps_is_refined_as_well(bottle_problem):
+    task = random_task(bottle_problem, np.random.default_rng(0), needs_regrasp=False)
+    direct = solve_sequence(bottle_problem, task.start, task.goal)
+    result = refine_plan(direct, options=SHORT)
+    assert result.reason == "" and result.plan.num_regrasps == 0
+    assert result.after.travel <= result.before.travel
+    assert result.plan.residuals().hold and result.plan.cost == pytest.approx(direct.cost)
 
 
 def test_the_refined_plan_travels_less_and_is_proved(plan, refined, tmp_path):
