@@ -20,6 +20,9 @@ STEP = np.array([0.02, 0.02, 0.02, 0.4, 0.4, 0.4])
 STEP_WEIGHT = 0.1
 """Weight of a full step, squared, beside energies."""
 
+SLIDE = 0.02
+"""Standard deviation of random slides along the surface [m]."""
+
 IPOPT = {
     "print_level": 0,
     "sb": "yes",
@@ -125,3 +128,21 @@ def displaced(T: FloatArray, d: FloatArray) -> FloatArray:
     D[:3, 3] = s[:3]
     moved: FloatArray = T @ D
     return moved
+
+
+def random_move(kind: str, rng: np.random.Generator) -> FloatArray:
+    """Return a transform (4, 4) from a tool pose to one that keeps its contacts or slides them by a few centimetres.
+
+    A parallel grasp turns by any angle about its closing direction and perhaps half a turn about its approach, a
+    suction grasp by any angle about its approach.
+    """
+    D = np.eye(4)
+    angle, slide = rng.uniform(-np.pi, np.pi), SLIDE * rng.random() * rng.normal(size=2)
+    if kind == "parallel":
+        flip = np.diag([-1.0, -1.0, 1.0]) if rng.random() < 0.5 else np.eye(3)
+        D[:3, :3] = Rotation.from_rotvec([0.0, angle, 0.0]).as_matrix() @ flip
+        D[[0, 2], 3] = slide
+    else:
+        D[:3, :3] = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
+        D[:2, 3] = slide
+    return D

@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from regrasp_opt.connectivity import CostOptions, SequenceObjective, exact_energy
 from regrasp_opt.conventions import FloatArray, IntArray, planar_transform
@@ -27,7 +26,7 @@ from regrasp_opt.errors import OptionError
 from regrasp_opt.feasibility.dataset import random_poses
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.grasps.settling import GraspSettler
-from regrasp_opt.motion.free_grasp_program import ChainSolve, FreeGraspProgram, displaced
+from regrasp_opt.motion.free_grasp_program import ChainSolve, FreeGraspProgram, displaced, random_move
 from regrasp_opt.planning import RegraspPlan, RegraspProblem, Status, Transition, solve_sequence
 from regrasp_opt.planning.verification import PoseKnowledge, enumerate_transition
 from regrasp_opt.solvers.base import wrap_yaw
@@ -38,9 +37,6 @@ POSES = 1000
 
 NOISE = 1.0
 """Scale of the Gumbel noise on the cost of chains [energy]: the same chain is not tried again and again."""
-
-SLIDE = 0.02
-"""Standard deviation of random slides along the surface [m]."""
 
 GOOD = 0.5
 """Objective at which a chain is not optimised further."""
@@ -218,7 +214,7 @@ class _Search:
     def _explore(self) -> None:
         """Add grasps turned at random about their contacts and slid along the surface, where they settle."""
         base = self.rng.integers(len(self.pool.T), size=self.options.explored)
-        moves = [_random_move(self.pool.kind, self.rng) for _ in base]
+        moves = [random_move(self.pool.kind, self.rng) for _ in base]
         grasps, _ = self.settler.settle(
             np.array([self.pool.T[k] @ D for k, D in zip(base, moves, strict=True)]), self.grade
         )
@@ -298,21 +294,3 @@ class _Search:
         cost = float(objective.cost(placements[None], xi[None])[0])
         stats = [{"refiner": "free grasps", "num_regrasps": len(xi), "grown": len(self.pool.T) - self.pool.sampled}]
         return RegraspPlan(Status.SOLVED, poses, placements, xi, transitions, cost, {}, stats, self.seed, problem)
-
-
-def _random_move(kind: str, rng: np.random.Generator) -> FloatArray:
-    """Return a transform (4, 4) from a tool pose to one that keeps its contacts or slides them by a few centimetres.
-
-    A parallel grasp turns by any angle about its closing direction and perhaps half a turn about its approach, a
-    suction grasp by any angle about its approach.
-    """
-    D = np.eye(4)
-    angle, slide = rng.uniform(-np.pi, np.pi), SLIDE * rng.random() * rng.normal(size=2)
-    if kind == "parallel":
-        flip = np.diag([-1.0, -1.0, 1.0]) if rng.random() < 0.5 else np.eye(3)
-        D[:3, :3] = Rotation.from_rotvec([0.0, angle, 0.0]).as_matrix() @ flip
-        D[[0, 2], 3] = slide
-    else:
-        D[:3, :3] = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
-        D[:2, 3] = slide
-    return D

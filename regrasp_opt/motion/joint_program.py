@@ -22,6 +22,7 @@ import casadi as ca
 import numpy as np
 
 from regrasp_opt.conventions import FloatArray, planar_transform
+from regrasp_opt.errors import OptionError
 from regrasp_opt.motion.joint_bodies import Rows, configuration_rows, object_rows
 from regrasp_opt.motion.joint_measures import Bounds, Measure
 from regrasp_opt.planning import RegraspProblem
@@ -179,7 +180,13 @@ class _Rows:
 def solve_joint(
     problem: RegraspProblem, functions: JointFunctions, task: JointTask, ipopt: dict[str, Any]
 ) -> JointSolve:
-    """Solve the program of `task` with Ipopt, with `ipopt` options over ours."""
+    """Solve the program of `task` with Ipopt, with `ipopt` options over ours.
+
+    Raises
+    ------
+    OptionError
+        If Ipopt refuses an option.
+    """
     robot, size = problem.workcell.robot, len(task.xi)
     xi, q, least = ca.MX.sym("xi", 3, size), ca.MX.sym("q", robot.dof, 2 * size + 2), ca.MX.sym("least")
     poses = [ca.MX(ca.DM(task.ends[0]))]
@@ -202,8 +209,7 @@ def solve_joint(
     x = ca.vertcat(ca.vec(xi), ca.vec(q), least)
     options = {**IPOPT, **ipopt}
     with solver_lock:
-        program = {"x": x, "f": objective, "g": ca.vertcat(*rows.rows)}
-        solver = ca.nlpsol("joint", "ipopt", program, {"print_time": False, "ipopt": options})
+        solver = _solver({"x": x, "f": objective, "g": ca.vertcat(*rows.rows)}, options)
         x0 = np.concatenate([task.xi.ravel(), task.q.ravel(), [0.0]])
         solution = solver(x0=x0, lbx=lower, ubx=upper, lbg=rows.low, ubg=rows.high)
         stats = solver.stats()
@@ -215,6 +221,14 @@ def solve_joint(
         rows.violation(np.array(solution["g"]).ravel()),
         int(stats["iter_count"]),
     )
+
+
+def _solver(program: dict[str, Any], options: dict[str, Any]) -> Any:
+    try:
+        return ca.nlpsol("joint", "ipopt", program, {"print_time": False, "ipopt": options})
+    except RuntimeError as error:
+        reason = str(error).strip().splitlines()[-1]
+        raise OptionError(f"Ipopt cannot be set up ({reason}); check the options given to it") from error
 
 
 IPOPT = {

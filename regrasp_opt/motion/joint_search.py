@@ -126,7 +126,7 @@ class JointSearch:
             if best is None and not solved:
                 self.trouble = "; ".join(dict.fromkeys(text for text in (short, self.trouble) if text))
                 return None
-            before = best
+            before = best if best is not None else min(as_they_are, key=self._loss, default=None)
             best = min([*([] if best is None else [best]), *as_they_are, *solved], key=self._loss)
             if before is not None and self._loss(before) - self._loss(best) < WORTHWHILE * abs(self._loss(before)):
                 break
@@ -251,17 +251,13 @@ def _connectivity(plan: RegraspPlan, ends: list[PoseKnowledge]) -> tuple[Sequenc
     The function applies the table's rule at the first and at the last intermediate pose only.
     """
     problem = plan.problem
-    energies = [exact_energy(end.all()) for end in ends]
-    bounds = problem.workcell.bounds.array
-    objective = SequenceObjective(
-        problem.energy, problem.placement_poses, *energies, bounds, CostOptions(), problem.table_rule
-    )
+    start, goal = (exact_energy(end.all()) for end in ends)
+    bounds, rule = problem.workcell.bounds.array, problem.table_rule
+    objective = SequenceObjective(problem.energy, problem.placement_poses, start, goal, bounds, CostOptions(), rule)
     if len(plan.xi):
-        ruled_out = problem.table_rule(plan.placements, plan.xi)
-        energies = [block(energies[0], ruled_out[0]), block(energies[1], ruled_out[-1])]
-    functions = problem.energy.casadi_functions(
-        start=energies[0], goal=energies[1], placements=plan.placements.tolist()
-    )
+        ruled_out = rule(plan.placements, plan.xi)
+        start, goal = block(start, ruled_out[0]), block(goal, ruled_out[-1])
+    functions = problem.energy.casadi_functions(start=start, goal=goal, placements=plan.placements.tolist())
     return objective, functions.J_seq
 
 

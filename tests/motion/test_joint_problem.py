@@ -273,6 +273,8 @@ def test_bad_input_is_refused(plan, bottle_problem):
         refine_plan(plan, "speed")
     with pytest.raises(OptionError, match="give 6 joint values within their limits"):
         refine_plan(plan, home=np.full(6, 100.0))
+    with pytest.raises(OptionError, match="Ipopt cannot be set up"):
+        refine_plan(plan, options=SearchOptions(starts=1, rounds=1, ipopt={"no_such_option": 1}))
     with pytest.raises(OptionError, match="starts is 0"):
         SearchOptions(starts=0)
     unsolved = solve_sequence(bottle_problem, plan.poses[0], plan.poses[-1], max_regrasps=0)
