@@ -9,6 +9,7 @@ from regrasp_opt.benchmarks import (
     cost_sweep,
     cross_effector,
     hard_tiers,
+    joint,
     models,
     multi_step,
     one_step,
@@ -152,3 +153,21 @@ def test_the_papers_tables_are_whole():
     assert len(cells) == 144 and all(0 <= cell <= 100 for cell in cells)
     # in the paper the same tool wins every row of the bottle
     assert all(CROSS_EFFECTOR["bottle"][a][a] >= 40 for a in END_EFFECTORS)
+
+
+def test_joint_problem_and_free_grasps(session, monkeypatch):
+    monkeypatch.setattr(joint, "PAIRS", {True: 1})
+    monkeypatch.setattr(joint, "THINNED", {True: 2})
+    monkeypatch.setattr(joint, "MAX_REGRASPS", 1)
+    report = joint.run_joint(session)
+    rows = check(report, session)
+    refined = {row["measure"]: row for row in rows if "after" in row}
+    assert set(refined) == set(joint.MEASURES)
+    assert refined["travel"]["after"] <= refined["travel"]["discrete"] <= refined["travel"]["before"]
+    assert refined["clearance"]["after"] >= refined["clearance"]["before"]
+    thinned = [row for row in rows if row["measure"] == "free grasps"]
+    assert len(thinned) == 2 and any(row["counts"] for row in thinned)
+    assert all(row["proved"] == (row["status"] == "solved") for row in thinned if row["counts"])
+    share = next(row for row in report.tables[-1].rows if row[0] == "all")[3]
+    counted = [row["status"] == "solved" for row in thinned if row["counts"]]
+    assert share == pytest.approx(100 * sum(counted) / len(counted))
