@@ -80,16 +80,24 @@ class NlpRefiner:
         return known[key]
 
 
-def _active_grasps(objective: SequenceObjective, placements: IntArray, xi: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return the grasps (A,) that can matter from one start, (N,) and (N, 3), and their energies (A, 2) at both ends.
+def useful_grasps(objective: SequenceObjective, placements: IntArray, xi: FloatArray) -> IntArray:
+    """Return the grasps (A,) that can matter from one start, `placements` (N,) and `xi` (N, 3).
 
-    What the table rules out at every intermediate pose is left out too. A is rounded up to one of a few sizes, so that
-    solvers can be kept; what fills it up is blocked at both ends.
+    What the table rules out at every intermediate pose is left out.
+    """
+    useful = objective.useful_grasps(len(xi))
+    if objective.table_rule is None:
+        return useful
+    return useful[~objective.table_rule(placements, xi)[:, useful].all(axis=0)]
+
+
+def _active_grasps(objective: SequenceObjective, placements: IntArray, xi: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return the grasps (A,) to solve with from one start and their energies (A, 2) at both ends.
+
+    A is rounded up to one of a few sizes, so that solvers can be kept; what fills it up is blocked at both ends.
     """
     ends = np.stack([objective.start_energy, objective.goal_energy], axis=1)
-    useful = objective.useful_grasps(len(xi))
-    if objective.table_rule is not None:
-        useful = useful[~objective.table_rule(placements, xi)[:, useful].all(axis=0)]
+    useful = useful_grasps(objective, placements, xi)
     others = np.setdiff1d(np.arange(len(ends)), useful)
     size = next((n for n in ACTIVE_SIZES if n >= len(useful)), len(ends))
     ends[others] = BLOCKED

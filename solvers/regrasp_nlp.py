@@ -13,6 +13,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -69,10 +70,8 @@ class RegraspNLP:
         Planar parameters of the intermediate poses.
     cost : casadi.MX
         ``J_seq`` without own costs.
-    scores : casadi.MX (N+1, 1)
-        ``Q_pair`` of neighbouring poses.
-    energies : casadi.MX (G, N)
-        Energies of all grasps at the intermediate poses.
+    f : casadi.MX
+        What is minimised.
     """
 
     def __init__(
@@ -94,14 +93,17 @@ class RegraspNLP:
         low, high = (np.append(side, free)[:, None] for side, free in zip(bounds, (-np.inf, np.inf), strict=True))
         self.xi = self.variable("xi", (3, count), lower=low, upper=high, guess=start.T)
         given = dict(values or {})
-        inputs = [
+        self._inputs = [
             self.parameter(J_seq.name_in(i), J_seq.size_in(i), given.get(J_seq.name_in(i)))
             for i in range(1, J_seq.n_in())
         ]
-        self.cost = J_seq(self.xi, *inputs)
-        self.scores = functions.Q_pair(self.xi, *inputs)
-        self.energies = functions.E(self.xi, *inputs[: functions.E.n_in() - 1])
+        self.cost = J_seq(self.xi, *self._inputs)
         self.f = self.cost
+
+    @cached_property
+    def scores(self) -> Any:
+        """``Q_pair`` (N+1, 1) of neighbouring poses."""
+        return self.functions.Q_pair(self.xi, *self._inputs)
 
     def variable(
         self,

@@ -66,7 +66,7 @@ class Chain:
         self.alpha, self.lambda_reg = options.alpha, options.regularisation
         self.scores = [pair_score(a, b, options) for a, b in pairs]
         self.cost = cost_of_scores(self.scores, self.lambda_reg)
-        self.weights = [softmin_weights(a, b, options.alpha) for a, b in pairs]
+        self.weights = [softmin_weights(a, b, options.alpha) for a, b in pairs]  # w_i
         self.slopes = []  # c_i = dJ/dQ_i
         for i, score in enumerate(self.scores):
             near = [self.scores[j] for j in (i - 1, i + 1) if 0 <= j < len(self.scores)]

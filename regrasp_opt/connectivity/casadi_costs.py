@@ -8,9 +8,10 @@ object serves every problem with the same N and the same number of grasps.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from functools import cached_property
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -26,14 +27,6 @@ from regrasp_opt.energy.model import GraspEnergy, PlanarLayer
 
 INPUT: Literal["input"] = "input"
 """Stands for an end or a mask that is an input of the functions instead of a constant."""
-
-
-class ConnectivityFunctions(NamedTuple):
-    """`E`, `Q_pair` and `J_seq` of one chain of poses as `casadi.Function`; see `ProblemEnergy.casadi_functions`."""
-
-    E: Any
-    Q_pair: Any
-    J_seq: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +51,126 @@ class ChainEnds:
 
 @dataclass(frozen=True, eq=False)
 class _Moving:
-    """The moving poses: their inputs by name, the first of which is differentiated in, and how to make them."""
+    """The moving poses: the functions' inputs, the one among them that moves the poses, and how to make them.
+
+    ``make(ids, tangents)`` returns them with the grasps `ids`; `tangents` as of `planar_energy`.
+    """
 
     inputs: Mapping[str, Any]
+    variable: str
     make: Callable[[IntArray, bool], list[PoseEnergy]]
+
+
+class ConnectivityFunctions:
+    """``E``, ``Q_pair`` and ``J_seq`` of one chain of poses, each built when it is first asked for.
+
+    Unpacks as ``E, Q_pair, J_seq``; see `ProblemEnergy.casadi_functions`.
+    """
+
+    def __init__(
+        self, moving: _Moving, count: int, options: CostOptions, ends: ChainEnds, *, free_ends: bool = True
+    ) -> None:
+        self._moving, self._count, self._options = moving, count, options
+        self._ids = np.arange(count) if ends.grasp_ids is None else np.asarray(ends.grasp_ids)
+        self._inputs, self._fixed = dict(moving.inputs), dict[str, PoseEnergy]()
+        self._spans = {moving.variable: moving.inputs[moving.variable].numel()}
+        for name, end in (("start", ends.start), ("goal", ends.goal)):
+            if end is not None:
+                self._fixed[name] = self._end(name, end, free_ends)
+        self._penalty: Any = 0
+        if ends.mask is not None:
+            mask = self._inputs["mask"] = ca.MX.sym("mask", count)
+            self._penalty = BLOCKED * (1 - mask[self._ids.tolist()])
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter((self.E, self.Q_pair, self.J_seq))
+
+    @cached_property
+    def E(self) -> Any:
+        """Energies (G, M) of the moving poses."""
+        moving = self._moving
+        light, full = (moving.make(np.arange(self._count), tangents) for tangents in (False, True))
+        name, shape = moving.variable, moving.inputs[moving.variable].shape
+        seed, unweighted = ca.MX.sym("adj_E", self._count, len(light)), ca.MX.ones(self._count)
+        weights = ca.horzsplit(seed) if light else []
+        gradients = [pose.gradient(w) for pose, w in zip(light, weights, strict=True)]
+        return by_adjoint(
+            "E",
+            moving.inputs,
+            "E",
+            ca.horzcat(*[pose.energy for pose in light]) if light else ca.MX(self._count, 0),
+            {name: ca.diagcat(*[pose.second(unweighted)[0] for pose in full])},
+            seed,
+            {name: ca.reshape(ca.vertcat(*gradients), *shape)},
+            {name: ca.diagcat(*[pose.second(w)[1] for pose, w in zip(full, weights, strict=True)])},
+        )
+
+    @cached_property
+    def Q_pair(self) -> Any:
+        """Pair scores of neighbouring poses (Eq. 4)."""
+        scores = self._light.scores
+        value = ca.vertcat(*scores) if scores else ca.MX(0, 1)
+        if self._options.variant == "Jh":
+            return self._plain("Q_pair", "Q", value)
+        own, slopes, hessians = self._places, self._full.score_jacobian(), self._full.score_hessians()
+        jacobian = {name: slopes[:, place] for name, place in own.items()}
+        second = {(a, b): _interleaved([h[own[a], own[b]] for h in hessians]) for a in own for b in own}
+        return by_jacobian("Q_pair", self._inputs, "Q", value, jacobian, second)
+
+    @cached_property
+    def J_seq(self) -> Any:
+        """The cost of the chain (Eq. 5)."""
+        if self._options.variant == "Jh":
+            return self._plain("J_seq", "J", self._light.cost)
+        own, gradient, hessian = self._places, self._light.gradient(), self._full.hessian()
+        jacobian = {name: gradient[place].T for name, place in own.items()}
+        second = {(a, b): hessian[own[a], own[b]] for a in own for b in own}
+        return by_jacobian("J_seq", self._inputs, "J", self._light.cost, jacobian, second)
+
+    def _end(self, name: str, end: Any, free: bool) -> PoseEnergy:
+        """Return a fixed end, made an input where it is one; a free one counts among the variables."""
+        if not isinstance(end, str):
+            return FixedEnergy(ca.MX(ca.DM(np.asarray(end)[self._ids])))
+        symbol = self._inputs[name] = ca.MX.sym(name, self._count)
+        if not free:
+            return FixedEnergy(symbol)
+        own = {name: self._count}
+        self._spans = {**own, **self._spans} if name == "start" else {**self._spans, **own}
+        return FreeEnergy(symbol, self._ids)
+
+    def _plain(self, name: str, output: str, value: Any) -> Any:
+        """Return a function without derivatives of its own: the truncated cost has no useful ones."""
+        return ca.Function(name, [*self._inputs.values()], [value], [*self._inputs], [output])
+
+    @cached_property
+    def _light(self) -> Chain:
+        return self._chain(tangents=False)
+
+    @cached_property
+    def _full(self) -> Chain:
+        return self._chain(tangents=True)
+
+    def _chain(self, *, tangents: bool) -> Chain:
+        poses = self._moving.make(self._ids, tangents)
+        if "start" in self._fixed:
+            poses = [self._fixed["start"], *poses]
+        if "goal" in self._fixed:
+            poses = [*poses, self._fixed["goal"]]
+        return Chain(poses, self._options, self._penalty)
+
+    @property
+    def _places(self) -> dict[str, slice]:
+        """Where each input stands among the variables, pose by pose."""
+        edges = itertools.pairwise(itertools.accumulate(self._spans.values(), initial=0))
+        return {name: slice(*edge) for name, edge in zip(self._spans, edges, strict=True)}
+
+
+def _interleaved(blocks: list[Any]) -> Any:
+    """Return the rows of equal blocks (k, n) one after the other: first rows, second rows, and so on."""
+    if not blocks:
+        return ca.MX(0, 0)
+    order = np.arange(blocks[0].shape[0] * len(blocks)).reshape(len(blocks), -1).T.ravel()
+    return ca.vertcat(*blocks)[order.tolist(), :]
 
 
 def planar_functions(
@@ -75,7 +184,7 @@ def planar_functions(
         layers = [expressions.layer(energy.planar_layer(T, ids)) for T in placements]
         return [planar_energy(expressions, layer, xi[:, i], tangents=tangents) for i, layer in enumerate(layers)]
 
-    return _functions(_Moving({"xi": xi}, make), len(energy), options, ends)
+    return ConnectivityFunctions(_Moving({"xi": xi}, "xi", make), len(energy), options, ends)
 
 
 def pose_functions(
@@ -89,7 +198,7 @@ def pose_functions(
         parts = ca.horzsplit(T, 4)
         return [full_pose_energy(expressions, energy, part, ids, tangents=tangents) for part in parts]
 
-    return _functions(_Moving({"T": T}, make), len(energy), options, ends)
+    return ConnectivityFunctions(_Moving({"T": T}, "T", make), len(energy), options, ends)
 
 
 def parametric_functions(energy: CasadiEnergy, options: CostOptions, num_regrasps: int) -> ConnectivityFunctions:
@@ -103,8 +212,8 @@ def parametric_functions(energy: CasadiEnergy, options: CostOptions, num_regrasp
         layers = _split(energy, packed)
         return [planar_energy(energy, layer, xi[:, i], tangents=tangents) for i, layer in enumerate(layers)]
 
-    moving = _Moving({"xi": xi, "layers": packed}, make)
-    return _functions(moving, energy.count, options, ChainEnds(INPUT, INPUT), free_ends=False)
+    moving = _Moving({"xi": xi, "layers": packed}, "xi", make)
+    return ConnectivityFunctions(moving, energy.count, options, ChainEnds(INPUT, INPUT), free_ends=False)
 
 
 def plain_sequence_cost(energy: CasadiEnergy, options: CostOptions, num_regrasps: int) -> Any:
@@ -130,102 +239,3 @@ def _layers_symbol(energy: CasadiEnergy, num_regrasps: int) -> Any:
 
 def _split(energy: CasadiEnergy, layers: Any) -> list[PlanarLayer]:
     return [energy.layer_parameter(part) for part in ca.horzsplit(layers, 3 * energy.count)]
-
-
-def _functions(
-    moving: _Moving, count: int, options: CostOptions, ends: ChainEnds, *, free_ends: bool = True
-) -> ConnectivityFunctions:
-    ids = np.arange(count) if ends.grasp_ids is None else np.asarray(ends.grasp_ids)
-    inputs, fixed = dict(moving.inputs), dict[str, PoseEnergy]()
-    spans = {next(iter(inputs)): next(iter(inputs.values())).numel()}
-    for name, end in (("start", ends.start), ("goal", ends.goal)):
-        if isinstance(end, str):
-            symbol = inputs[name] = ca.MX.sym(name, count)
-            fixed[name] = FreeEnergy(symbol, ids) if free_ends else FixedEnergy(symbol)
-            if free_ends:
-                spans = {name: count, **spans} if name == "start" else {**spans, name: count}
-        elif end is not None:
-            fixed[name] = FixedEnergy(ca.MX(ca.DM(np.asarray(end)[ids])))
-    penalty = 0
-    if ends.mask is not None:
-        inputs["mask"] = ca.MX.sym("mask", count)
-        penalty = BLOCKED * (1 - inputs["mask"][ids.tolist()])
-    light, full = (
-        [*_one(fixed.get("start")), *moving.make(ids, tangents), *_one(fixed.get("goal"))] for tangents in (False, True)
-    )
-    return ConnectivityFunctions(_energies(moving, count), *_scores(inputs, spans, options, penalty, (light, full)))
-
-
-def _scores(
-    inputs: Mapping[str, Any],
-    spans: Mapping[str, int],
-    options: CostOptions,
-    penalty: Any,
-    poses: tuple[list[PoseEnergy], list[PoseEnergy]],
-) -> tuple[Any, Any]:
-    """Return ``Q_pair`` and ``J_seq`` of `poses` without and with tangents; `spans` are their variables' numbers."""
-    chain = Chain(poses[0], options, penalty)
-    scores = ca.vertcat(*chain.scores) if chain.scores else ca.MX(0, 1)
-    if options.variant == "Jh":  # no useful derivative where no grasp is shared
-        arguments = [*inputs.values()], [*inputs]
-        return (
-            ca.Function("Q_pair", arguments[0], [scores], arguments[1], ["Q"]),
-            ca.Function("J_seq", arguments[0], [chain.cost], arguments[1], ["J"]),
-        )
-    bent, own = Chain(poses[1], options, penalty), _places(spans)
-    gradient, hessian, slopes = chain.gradient(), bent.hessian(), bent.score_jacobian()
-    return (
-        by_jacobian(
-            "Q_pair",
-            inputs,
-            "Q",
-            scores,
-            {name: slopes[:, place] for name, place in own.items()},
-            {(a, b): _interleaved([h[own[a], own[b]] for h in bent.score_hessians()]) for a in own for b in own},
-        ),
-        by_jacobian(
-            "J_seq",
-            inputs,
-            "J",
-            chain.cost,
-            {name: gradient[place].T for name, place in own.items()},
-            {(a, b): hessian[own[a], own[b]] for a in own for b in own},
-        ),
-    )
-
-
-def _energies(moving: _Moving, count: int) -> Any:
-    """Return ``E`` (G, M) of the moving poses."""
-    light, full = (moving.make(np.arange(count), tangents) for tangents in (False, True))
-    name, variable = next(iter(moving.inputs.items()))
-    seed, unweighted = ca.MX.sym("adj_E", count, len(light)), ca.MX.ones(count)
-    weights = ca.horzsplit(seed) if light else []
-    gradients = [pose.gradient(w) for pose, w in zip(light, weights, strict=True)]
-    return by_adjoint(
-        "E",
-        moving.inputs,
-        "E",
-        ca.horzcat(*[pose.energy for pose in light]) if light else ca.MX(count, 0),
-        {name: ca.diagcat(*[pose.second(unweighted)[0] for pose in full])},
-        seed,
-        {name: ca.reshape(ca.vertcat(*gradients), *variable.shape)},
-        {name: ca.diagcat(*[pose.second(w)[1] for pose, w in zip(full, weights, strict=True)])},
-    )
-
-
-def _places(spans: Mapping[str, int]) -> dict[str, slice]:
-    """Return where each input's variables stand, from their numbers in the order of the variables."""
-    edges = itertools.pairwise(itertools.accumulate(spans.values(), initial=0))
-    return {name: slice(*edge) for name, edge in zip(spans, edges, strict=True)}
-
-
-def _interleaved(blocks: list[Any]) -> Any:
-    """Return the rows of equal blocks (k, n) one after the other: first rows, second rows, and so on."""
-    if not blocks:
-        return ca.MX(0, 0)
-    order = np.arange(blocks[0].shape[0] * len(blocks)).reshape(len(blocks), -1).T.ravel()
-    return ca.vertcat(*blocks)[order.tolist(), :]
-
-
-def _one(pose: PoseEnergy | None) -> list[PoseEnergy]:
-    return [] if pose is None else [pose]
