@@ -19,8 +19,15 @@ import numpy as np
 from regrasp_opt.connectivity.casadi_chain import Chain, cost_of_scores, pair_score
 from regrasp_opt.connectivity.costs import CostOptions
 from regrasp_opt.connectivity.objective import BLOCKED
-from regrasp_opt.conventions import FloatArray, IntArray
-from regrasp_opt.energy.casadi_blocks import FixedEnergy, FreeEnergy, PoseEnergy, full_pose_energy, planar_energy
+from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
+from regrasp_opt.energy.casadi_blocks import (
+    FixedEnergy,
+    FreeEnergy,
+    PartlyKnownEnergy,
+    PoseEnergy,
+    full_pose_energy,
+    planar_energy,
+)
 from regrasp_opt.energy.casadi_energy import Blas, CasadiEnergy
 from regrasp_opt.energy.casadi_function import by_adjoint, by_jacobian
 from regrasp_opt.energy.model import GraspEnergy, PlanarLayer
@@ -41,12 +48,15 @@ class ChainEnds:
         "input": the functions take a mask (G, 1), 1 for grasps that may be used and 0 for others.
     grasp_ids : (A,), optional
         The grasps that pairs are scored by; all by default.
+    blocked : (M, G) bool, optional
+        Grasps known to be infeasible at each moving pose: their energy there is `BLOCKED`.
     """
 
     start: Any = None
     goal: Any = None
     mask: Any = None
     grasp_ids: IntArray | None = None
+    blocked: BoolArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +81,7 @@ class ConnectivityFunctions:
         self, moving: _Moving, count: int, options: CostOptions, ends: ChainEnds, *, free_ends: bool = True
     ) -> None:
         self._moving, self._count, self._options = moving, count, options
+        self._blocked = ends.blocked
         self._ids = np.arange(count) if ends.grasp_ids is None else np.asarray(ends.grasp_ids)
         self._inputs, self._fixed = dict(moving.inputs), dict[str, PoseEnergy]()
         self._spans = {moving.variable: moving.inputs[moving.variable].numel()}
@@ -89,7 +100,7 @@ class ConnectivityFunctions:
     def E(self) -> Any:
         """Energies (G, M) of the moving poses."""
         moving = self._moving
-        light, full = (moving.make(np.arange(self._count), tangents) for tangents in (False, True))
+        light, full = (self._poses(np.arange(self._count), tangents) for tangents in (False, True))
         name, shape = moving.variable, moving.inputs[moving.variable].shape
         seed, unweighted = ca.MX.sym("adj_E", self._count, len(light)), ca.MX.ones(self._count)
         weights = ca.horzsplit(seed) if light else []
@@ -151,12 +162,19 @@ class ConnectivityFunctions:
         return self._chain(tangents=True)
 
     def _chain(self, *, tangents: bool) -> Chain:
-        poses = self._moving.make(self._ids, tangents)
+        poses = self._poses(self._ids, tangents)
         if "start" in self._fixed:
             poses = [self._fixed["start"], *poses]
         if "goal" in self._fixed:
             poses = [*poses, self._fixed["goal"]]
         return Chain(poses, self._options, self._penalty)
+
+    def _poses(self, ids: IntArray, tangents: bool) -> list[PoseEnergy]:
+        poses = self._moving.make(ids, tangents)
+        if self._blocked is None:
+            return poses
+        known = zip(poses, self._blocked[:, ids], strict=True)
+        return [PartlyKnownEnergy(pose, row, BLOCKED) if row.any() else pose for pose, row in known]
 
     @property
     def _places(self) -> dict[str, slice]:

@@ -45,6 +45,7 @@ class ProblemEnergy(GraspEnergy):
         start: Any = None,
         goal: Any = None,
         mask: Any = None,
+        blocked: Any = None,
         options: CostOptions | None = None,
         blas: Blas = "classic",
     ) -> ConnectivityFunctions:
@@ -62,6 +63,9 @@ class ProblemEnergy(GraspEnergy):
         mask : (G,) bool, "input", or None
             Which grasps may be used. "input" makes it an input ``mask`` (G, 1) of ones and zeros, the last one of
             ``Q_pair`` and ``J_seq``, which are not differentiable in it; a zero adds `BLOCKED` to every pair's energy.
+        blocked : (N, G) bool, optional
+            Grasps known to be infeasible at each intermediate pose, as `RegraspProblem.table_rule` tells; they have
+            the energy `BLOCKED` there.
         options : CostOptions, optional
             The paper's by default.
         blas : {"classic", "reference"}
@@ -79,7 +83,8 @@ class ProblemEnergy(GraspEnergy):
             If an end is neither a rigid pose nor G energies, a placement does not exist, or the mask leaves no grasp.
         """
         chosen = self.placements[self.placement_numbers(placements)]
-        return planar_functions(self, options or CostOptions(), self._ends(start, goal, mask), chosen, _checked(blas))
+        ends = self._ends(start, goal, mask, blocked, len(chosen))
+        return planar_functions(self, options or CostOptions(), ends, chosen, _checked(blas))
 
     def casadi_pose_functions(
         self,
@@ -88,6 +93,7 @@ class ProblemEnergy(GraspEnergy):
         start: Any = None,
         goal: Any = None,
         mask: Any = None,
+        blocked: Any = None,
         options: CostOptions | None = None,
         blas: Blas = "classic",
     ) -> ConnectivityFunctions:
@@ -97,7 +103,7 @@ class ProblemEnergy(GraspEnergy):
         ----------
         num_poses : int
             M, the number of poses that move.
-        start, goal, mask, options, blas
+        start, goal, mask, blocked, options, blas
             As of `casadi_functions`.
 
         Returns
@@ -108,7 +114,7 @@ class ProblemEnergy(GraspEnergy):
         """
         if isinstance(num_poses, bool) or not isinstance(num_poses, (int, np.integer)) or num_poses < 1:
             raise OptionError(f"num_poses is {num_poses}; give a whole number of at least 1")
-        ends = self._ends(start, goal, mask)
+        ends = self._ends(start, goal, mask, blocked, int(num_poses))
         return pose_functions(self, options or CostOptions(), ends, int(num_poses), _checked(blas))
 
     def placement_numbers(self, placements: Any) -> IntArray:
@@ -126,16 +132,19 @@ class ProblemEnergy(GraspEnergy):
             raise OptionError(f"placements are {numbers.tolist()}; give numbers from 0 to {len(self.placements) - 1}")
         return numbers.astype(np.int64)
 
-    def _ends(self, start: Any, goal: Any, mask: Any) -> ChainEnds:
+    def _ends(self, start: Any, goal: Any, mask: Any, blocked: Any, poses: int) -> ChainEnds:
         ends = self._end_energies(start, "start"), self._end_energies(goal, "goal")
+        known = None if blocked is None else np.asarray(blocked)
+        if known is not None and (known.shape != (poses, len(self)) or known.dtype != bool):
+            raise OptionError(f"blocked is no array of booleans ({poses}, {len(self)}), poses by grasps")
         if mask is None or (isinstance(mask, str) and mask == INPUT):
-            return ChainEnds(*ends, mask)
+            return ChainEnds(*ends, mask, None, known)
         chosen = np.asarray(mask)
         if chosen.shape != (len(self),) or chosen.dtype != bool:
             raise OptionError(f'the mask is neither {len(self)} booleans nor "input"')
         if not chosen.any():
             raise OptionError("the mask leaves no grasp; allow at least one")
-        return ChainEnds(*ends, None, np.flatnonzero(chosen))
+        return ChainEnds(*ends, None, np.flatnonzero(chosen), known)
 
     def _end_energies(self, end: Any, name: str) -> Any:
         if end is None or (isinstance(end, str) and end == INPUT):

@@ -15,8 +15,9 @@ from itertools import pairwise
 from typing import Any, Protocol
 
 import casadi as ca
+import numpy as np
 
-from regrasp_opt.conventions import IntArray
+from regrasp_opt.conventions import BoolArray, IntArray
 from regrasp_opt.energy.casadi_energy import Bottom, CasadiEnergy
 from regrasp_opt.energy.model import GraspEnergy, PlanarLayer
 
@@ -49,6 +50,23 @@ def full_pose_energy(
 ) -> PoseEnergy:
     """Return the energies at a full pose `T` (4, 4), whose parameters are the 16 numbers of T, column by column."""
     return _FullPose(energy, energy.pose_bottom(source, T, grasp_ids), tangents)
+
+
+class PartlyKnownEnergy:
+    """The energies of `pose`, but `value` where `known` (G,) is true; that value does not move with the pose."""
+
+    def __init__(self, pose: PoseEnergy, known: BoolArray, value: float) -> None:
+        self._pose, self._learned = pose, ca.MX(ca.DM((~known).astype(np.float64)))
+        self.energy = self._learned * pose.energy + value * (1 - self._learned)
+
+    def gradient(self, weights: Any) -> Any:
+        """Return the gradient of `pose` by the grasps that are not known."""
+        return self._pose.gradient(self._learned * weights)
+
+    def second(self, weights: Any) -> tuple[Any, Any]:
+        """Return the derivatives of `pose` by the grasps that are not known."""
+        tangent, curvature = self._pose.second(self._learned * weights)
+        return ca.repmat(self._learned, 1, tangent.shape[1]) * tangent, curvature
 
 
 class FixedEnergy:

@@ -42,10 +42,17 @@ def sequence_nlp(
         numbers, near = _from_lattice(problem, objective, count, numbers)
         guess = near if guess is None else guess
     xi = np.asarray(guess, dtype=np.float64)
-    if mask is None and objective is not None and xi.shape == (count, 3):
+    if xi.shape != (count, 3):
+        raise OptionError(f"the guess has shape {xi.shape}; give {count} rows (x, y, theta)")
+    if mask is None and objective is not None:
         mask = np.isin(np.arange(len(energy)), useful_grasps(objective, numbers, xi))
     functions = energy.casadi_functions(
-        placements=numbers.tolist(), start=ends[0], goal=ends[1], mask=mask, options=options
+        placements=numbers.tolist(),
+        start=ends[0],
+        goal=ends[1],
+        mask=mask,
+        blocked=problem.table_rule(numbers, xi),
+        options=options,
     )
     values = {"mask": np.ones(len(energy))} if isinstance(mask, str) else {}
     return RegraspNLP(functions, problem.workcell.bounds.array, xi, values)

@@ -209,6 +209,26 @@ def test_a_mask_leaves_grasps_out(make_problem_energy, over):
     assert constant.E(x).shape == (12, 2)
 
 
+@pytest.mark.parametrize("over", ["planar", "pose"])
+def test_blocked_grasps_have_a_fixed_energy(make_problem_energy, over):
+    energy, ends, xi = make_problem_energy()
+    blocked = np.random.default_rng(7).random((2, 12)) < 0.4
+    arguments = {"start": ends[:, 0], "goal": ends[:, 1], "blocked": blocked}
+    T = np.hstack(planar_transform(xi.T) @ energy.placements[PLACEMENTS])
+    if over == "planar":
+        functions, x, numbers = energy.casadi_functions(placements=PLACEMENTS, **arguments), ca.MX.sym("xi", 3, 2), xi
+    else:
+        functions, x, numbers = energy.casadi_pose_functions(num_poses=2, **arguments), ca.MX.sym("T", 4, 8), T
+    learned = plain(energy, x, [ca.DM(ends[:, 0]), ca.DM(ends[:, 1])], CostOptions())[0]
+    kept = ca.if_else(ca.DM(blocked.T.astype(float)), BLOCKED, learned)
+    chain = [ca.DM(ends[:, 0]), *ca.horzsplit(kept), ca.DM(ends[:, 1])]
+    scores = [pair_score(a, b, CostOptions()) for a, b in itertools.pairwise(chain)]
+    ours = functions.J_seq(x) + ca.sumsqr(ca.sin(functions.E(x)))
+    reference = cost_of_scores(scores, 0.5) + ca.sumsqr(ca.sin(kept))
+    for a, b in zip(with_derivatives(ours, [x])(numbers), with_derivatives(reference, [x])(numbers), strict=True):
+        np.testing.assert_allclose(np.array(a), np.array(b), atol=1e-10)
+
+
 @pytest.mark.parametrize("blas", ["classic", "reference"])
 def test_functions_are_saved_loaded_and_mapped_with_their_derivatives(make_problem_energy, tmp_path, blas):
     energy, ends, xi = make_problem_energy()
@@ -273,6 +293,7 @@ def test_the_truncated_cost_equals_numpy(make_problem_energy, h):
         ({"mask": np.zeros(12, dtype=bool)}, OptionError, "mask leaves no grasp"),
         ({"mask": np.ones(11, dtype=bool)}, OptionError, "neither 12 booleans"),
         ({"mask": np.ones(12)}, OptionError, "neither 12 booleans"),
+        ({"blocked": np.zeros((1, 12), dtype=bool)}, OptionError, r"no array of booleans \(2, 12\)"),
         ({"blas": "fast"}, OptionError, "blas is 'fast'; use one of classic, reference"),
     ],
 )

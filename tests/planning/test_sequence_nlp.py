@@ -21,9 +21,9 @@ def plan(bottle_problem, ends):
 
 def test_it_finds_what_the_planner_finds_and_grasps_remain(bottle_problem, ends, plan):
     nlp = bottle_problem.nlp(*ends, placements=plan.placements, guess=plan.xi)
+    assert float(nlp.functions.J_seq(plan.xi.T)) == pytest.approx(plan.cost, abs=1e-9)
     solution = nlp.solve()
-    assert solution.converged
-    assert solution.f == pytest.approx(plan.cost, abs=1e-5)
+    assert solution.converged and solution.f <= plan.cost + 1e-9
     found = bottle_problem.pose(plan.placements[0], *nlp.unpack(solution.x)["xi"][:, 0])
     feasible = np.array([bottle_problem.feasible_grasps(T) for T in (ends[0], found, ends[1])])
     assert (feasible[:-1] & feasible[1:]).any(axis=1).all()
