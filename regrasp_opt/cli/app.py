@@ -197,7 +197,8 @@ def bench(
         str,
         typer.Argument(
             metavar="EXPERIMENT",
-            help="cost-sweep, one-step, unseen, cross-effector, multi-step, hard-tiers, refiners, ablations or speed.",
+            help="cost-sweep, one-step, unseen, cross-effector, multi-step, hard-tiers, refiners, ablations, "
+            "embedding or speed.",
         ),
     ],
     quick: Annotated[bool, typer.Option("--quick", help="Minutes instead of the paper's sizes.")] = False,
