@@ -18,7 +18,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from regrasp_opt.benchmarks.instances import Instance, choose_instances, instances_hash
 from regrasp_opt.benchmarks.report import Cell, Report, Table
 from regrasp_opt.benchmarks.runner import Item, Row
 from regrasp_opt.benchmarks.session import Session, error_rows, usable
@@ -29,6 +28,7 @@ from regrasp_opt.conventions import FloatArray
 from regrasp_opt.energy.casadi_energy import CasadiEnergy
 from regrasp_opt.files import content_hash
 from regrasp_opt.planning import RegraspProblem
+from regrasp_opt.planning.tasks import Task, random_task
 from regrasp_opt.solvers import Candidates, NlpRefiner, ProgramOptions, lattice_starts
 from regrasp_opt.solvers.options import plugin_options
 from regrasp_opt.threads import one_blas_thread
@@ -53,19 +53,18 @@ def run_embedding(session: Session) -> Report:
     items: list[Item] = []
     hashes: dict[str, str] = {}
     for name, problem in usable(subjects):
-        oracle = session.oracle(name, problem)
-        wanted = {"any": PAIRS[session.quick]}
-        instances = choose_instances(session.pool(problem), oracle, wanted, session.rng(60), name)
-        hashes[name] = instances_hash(instances)
-        for instance in instances:
-            depends = content_hash(planning_key(problem), instances_hash([instance]), REPEATS)
+        rng = session.rng(60)
+        tasks = [random_task(problem, rng, needs_regrasp=True) for _ in range(PAIRS[session.quick])]
+        hashes[name] = content_hash(*(T for task in tasks for T in (task.start, task.goal)))
+        for number, task in enumerate(tasks):
+            depends = content_hash(planning_key(problem), task.start, task.goal, REPEATS)
             items += [
                 Item(
-                    f"{instance.name}/{count}",
+                    f"{name}/{number}/{count}",
                     depends,
                     embedding_rows,
-                    (replace(problem), instance, count),
-                    {"object": name, "pair": instance.name, "N": count},
+                    (replace(problem), task, count),
+                    {"object": name, "pair": number, "N": count},
                 )
                 for count in REGRASPS
             ]
@@ -84,9 +83,9 @@ def run_embedding(session: Session) -> Report:
     )
 
 
-def embedding_rows(problem: RegraspProblem, instance: Instance, num_regrasps: int) -> list[Row]:
+def embedding_rows(problem: RegraspProblem, task: Task, num_regrasps: int) -> list[Row]:
     """Return one row with the median time [ms], iterations and final cost of each way."""
-    ends = [exact_energy(problem.feasible_grasps(T)) for T in (instance.start, instance.goal)]
+    ends = [exact_energy(problem.feasible_grasps(T)) for T in (task.start, task.goal)]
     bounds, start, goal = problem.workcell.bounds.array, ends[0], ends[1]
     objective = SequenceObjective(
         problem.energy, problem.placement_poses, start, goal, bounds, CostOptions(), problem.table_rule
