@@ -122,7 +122,7 @@ def test_embedding(session, monkeypatch):
     assert [row["N"] for row in rows] == list(embedding.REGRASPS)
     for row in rows:
         assert row["opti_cost"] == pytest.approx(row["plain_cost"], abs=1e-6)
-        assert row["opti_iterations"] == row["plain_iterations"] == row["nlp_iterations"]
+        assert row["opti_cost"] == pytest.approx(row["nlp_cost"], abs=1e-6)
         assert all(row[f"{way}_ms"] > 0 for way in embedding.WAYS)
 
 
