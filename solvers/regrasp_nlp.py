@@ -25,6 +25,7 @@ from regrasp_opt.conventions import FloatArray
 from regrasp_opt.errors import OptionError
 from regrasp_opt.solvers.nlp_solver import NlpSolution, NlpSolver
 from regrasp_opt.solvers.options import ProgramOptions
+from regrasp_opt.threads import one_blas_thread
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,19 +213,27 @@ class RegraspNLP:
         Raises
         ------
         OptionError
-            If the plugin cannot be set up.
+            If the plugin cannot be set up, or an expression has a symbol that is no variable or parameter.
         """
+        self._check_symbols()
         return NlpSolver(self.program, options or ProgramOptions())
 
     def solve(self, options: ProgramOptions | None = None) -> NlpSolution:
         """Solve the program once from its guess; what is found need not hold the constraints, see `NlpSolution`."""
-        return self.solver(options).solve(**self.arguments)
+        with one_blas_thread():
+            return self.solver(options).solve(**self.arguments)
 
     def add_to_opti(self, opti: Any) -> OptiTerms:
         """Put variables, parameters, bounds and constraints into the `casadi.Opti` problem `opti`, with their values.
 
         An Opti problem has one objective: pass it the returned ``cost`` with your own terms.
+
+        Raises
+        ------
+        OptionError
+            If an expression has a symbol that is no variable or parameter.
         """
+        self._check_symbols()
         values = {}
         for name, block in self._variables.items():
             variable = values[name] = opti.variable(*block.expression.shape)
@@ -241,6 +250,12 @@ class RegraspNLP:
         for row, block in zip(rows, self._rows.values(), strict=True):
             _bound(opti, row, block)
         return OptiTerms(values, cost, scores)
+
+    def _check_symbols(self) -> None:
+        whole = ca.Function("whole", [self.x, self.p], [self.f, self.g], {"allow_free": True})
+        free = [symbol.name() for symbol in whole.free_mx()]
+        if free:
+            raise OptionError(f"'{free[0]}' is neither a variable nor a parameter of the program; add it as one")
 
     def _symbol(self, name: str, shape: int | tuple[int, int]) -> Any:
         if name in self._variables or name in self._parameters:

@@ -155,6 +155,8 @@ def test_an_unreachable_constraint_is_not_hidden(make_nlp):
         (lambda nlp: (nlp.parameter("c"), nlp.arguments), "parameter 'c' has no value"),
         (lambda nlp: nlp.add_cost(nlp.xi), r"a cost has shape \(3, 2\)"),
         (lambda nlp: [nlp.add_constraint("d", nlp.xi[0], upper=1) for _ in range(2)], "constraint 'd' already"),
+        (lambda nlp: (nlp.add_cost(ca.MX.sym("z")), nlp.solve()), "'z' is neither a variable nor a parameter"),
+        (lambda nlp: (nlp.add_cost(ca.MX.sym("z")), nlp.add_to_opti(ca.Opti())), "'z' is neither a variable"),
         (lambda nlp: RegraspNLP(nlp.functions, BOUNDS, GUESS[:1]), r"guess has shape \(1, 3\); give 2 finite rows"),
     ],
 )
