@@ -8,17 +8,23 @@ from regrasp_opt.solvers.base import Candidates, Refinement, Refiner, random_sta
 from regrasp_opt.solvers.langevin import LangevinRefiner
 from regrasp_opt.solvers.lattice import LatticeRefiner, PoseLattice, lattice_starts
 from regrasp_opt.solvers.nlp import NlpRefiner
-from regrasp_opt.solvers.program import ProgramOptions
+from regrasp_opt.solvers.nlp_solver import NlpSolution, NlpSolver
+from regrasp_opt.solvers.options import ProgramOptions
+from regrasp_opt.solvers.regrasp_nlp import OptiTerms, RegraspNLP
 
 __all__ = [
     "Candidates",
     "LangevinRefiner",
     "LatticeRefiner",
     "NlpRefiner",
+    "NlpSolution",
+    "NlpSolver",
+    "OptiTerms",
     "PoseLattice",
     "ProgramOptions",
     "Refinement",
     "Refiner",
+    "RegraspNLP",
     "lattice_starts",
     "random_starts",
 ]

@@ -4,13 +4,10 @@ The first layers at the chosen placements and the energies at both ends are para
 all problems with the same energy, N and number of grasps; objects are kept for as long as the energy lives.
 
 Grasps that cannot matter are left out, because that is where most of the work goes: see `_active_grasps`.
-
-Neither a CasADi solver nor MUMPS may be used from two threads at once: a lock sees to it.
 """
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass, field
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -23,12 +20,13 @@ from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.energy.casadi_energy import CasadiEnergy
 from regrasp_opt.energy.model import GraspEnergy
 from regrasp_opt.solvers.base import Candidates, Refinement, keep_better, wrap_yaw
-from regrasp_opt.solvers.program import ProgramOptions, SequenceProgram
+from regrasp_opt.solvers.nlp_solver import lock
+from regrasp_opt.solvers.options import ProgramOptions
+from regrasp_opt.solvers.program import SequenceProgram
 
 ACTIVE_SIZES = (8, 16, 24, 32, 48, 64, 96, 128, 192)
 """Numbers of grasps for which solvers are built; more than the last takes all grasps."""
 
-_lock = threading.RLock()
 _programs: WeakKeyDictionary[GraspEnergy, dict[Any, SequenceProgram]] = WeakKeyDictionary()
 
 
@@ -52,7 +50,7 @@ class NlpRefiner:
     def refine(self, objective: SequenceObjective, starts: Candidates, rng: np.random.Generator) -> Refinement:
         """Return the refined candidates; the stats count solves, converged ones, improved ones and iterations."""
         solves, grasps = [], []
-        with _lock:
+        with lock:
             for placements, xi in zip(starts.placements, starts.xi, strict=True):
                 ids, ends = _active_grasps(objective, placements, xi)
                 program = self._program(objective, len(xi), len(ids))
@@ -82,16 +80,24 @@ class NlpRefiner:
         return known[key]
 
 
-def _active_grasps(objective: SequenceObjective, placements: IntArray, xi: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return the grasps (A,) that can matter from one start, (N,) and (N, 3), and their energies (A, 2) at both ends.
+def useful_grasps(objective: SequenceObjective, placements: IntArray, xi: FloatArray) -> IntArray:
+    """Return the grasps (A,) that can matter from one start, `placements` (N,) and `xi` (N, 3).
 
-    What the table rules out at every intermediate pose is left out too. A is rounded up to one of a few sizes, so that
-    solvers can be kept; what fills it up is blocked at both ends.
+    What the table rules out at every intermediate pose is left out.
+    """
+    useful = objective.useful_grasps(len(xi))
+    if objective.table_rule is None:
+        return useful
+    return useful[~objective.table_rule(placements, xi)[:, useful].all(axis=0)]
+
+
+def _active_grasps(objective: SequenceObjective, placements: IntArray, xi: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Return the grasps (A,) to solve with from one start and their energies (A, 2) at both ends.
+
+    A is rounded up to one of a few sizes, so that solvers can be kept; what fills it up is blocked at both ends.
     """
     ends = np.stack([objective.start_energy, objective.goal_energy], axis=1)
-    useful = objective.useful_grasps(len(xi))
-    if objective.table_rule is not None:
-        useful = useful[~objective.table_rule(placements, xi)[:, useful].all(axis=0)]
+    useful = useful_grasps(objective, placements, xi)
     others = np.setdiff1d(np.arange(len(ends)), useful)
     size = next((n for n in ACTIVE_SIZES if n >= len(useful)), len(ends))
     ends[others] = BLOCKED

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -15,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from regrasp_opt.connectivity import CostOptions
-from regrasp_opt.connectivity.casadi_costs import layers_parameter, plain_sequence_cost, sequence_functions
+from regrasp_opt.connectivity.casadi_costs import layers_parameter, parametric_functions, plain_sequence_cost
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, planar_transform
 from regrasp_opt.energy.casadi_energy import CasadiEnergy
 from regrasp_opt.energy.features import feature_count
@@ -56,33 +57,35 @@ def median_time(function: Callable[[], Any], repeats: int) -> float:
     return float(np.median(times))
 
 
-def _arguments(energy: GraspEnergy, num_regrasps: int) -> tuple[Any, Any, Any]:
+def _arguments(energy: GraspEnergy, num_regrasps: int) -> tuple[Any, ...]:
     rng = np.random.default_rng(1)
     layers = layers_parameter(energy, _transforms(rng, num_regrasps))
-    ends = rng.uniform(0, 4, (len(energy), 2))
-    return ca.DM(rng.normal(size=(3, num_regrasps))), ca.DM(layers), ca.DM(ends)
+    ends = rng.uniform(0, 4, (2, len(energy)))
+    return ca.DM(rng.normal(size=(3, num_regrasps))), ca.DM(layers), *map(ca.DM, ends)
+
+
+def _derivatives(cost: Any) -> tuple[Any, Any]:
+    """Return gradient and Hessian of the function `cost` in its first input as functions of all its inputs."""
+    x, *parameters = inputs = [ca.MX.sym(cost.name_in(i), *cost.size_in(i)) for i in range(cost.n_in())]
+    hessian, gradient = ca.hessian(cost(x, *parameters), ca.vec(x))
+    return ca.Function("gradient", inputs, [gradient]), ca.Function("hessian", inputs, [hessian])
 
 
 def derivative_speed(num_regrasps: int = 3, count: int = 200, hidden: int = 128, repeats: int = 15) -> dict[str, float]:
     """Return our times [s], those of CasADi's differentiation of the plainly built cost, and their disagreement."""
     energy = random_energy(count, hidden)
-    xi, layers, ends = _arguments(energy, num_regrasps)
-    ours = sequence_functions(CasadiEnergy(energy.model, count), CostOptions(), num_regrasps)
+    arguments = _arguments(energy, num_regrasps)
+    ours = parametric_functions(CasadiEnergy(energy.model, count), CostOptions(), num_regrasps).J_seq
     plain = plain_sequence_cost(CasadiEnergy(energy.model, count, "reference"), CostOptions(), num_regrasps)
-    x = ca.MX.sym("xi", 3, num_regrasps)
-    hessian, gradient = ca.hessian(plain(x, layers, ends), ca.vec(x))
-    plain_gradient = ca.Function("gradient", [x], [gradient])
-    plain_hessian = ca.Function("hessian", [x], [hessian])
-    difference = max(
-        float(ca.norm_inf(ca.vec(plain_hessian(xi) - ours.hessian(xi, layers, ends, 1, 0)))),
-        float(ca.norm_inf(plain_gradient(xi) - ours.gradient(xi, layers, ends)[1])),
-    )
+    pairs = list(zip(_derivatives(ours), _derivatives(plain), strict=True))
+    differences = [float(ca.norm_inf(ca.vec(a(*arguments) - b(*arguments)))) for a, b in pairs]
+    (gradient, plain_gradient), (hessian, plain_hessian) = pairs
     return {
-        "hessian": median_time(lambda: ours.hessian(xi, layers, ends, 1, 0), repeats),
-        "plain_hessian": median_time(lambda: plain_hessian(xi), repeats),
-        "gradient": median_time(lambda: ours.gradient(xi, layers, ends), repeats),
-        "plain_gradient": median_time(lambda: plain_gradient(xi), repeats),
-        "difference": difference,
+        "hessian": median_time(lambda: hessian(*arguments), repeats),
+        "plain_hessian": median_time(lambda: plain_hessian(*arguments), repeats),
+        "gradient": median_time(lambda: gradient(*arguments), repeats),
+        "plain_gradient": median_time(lambda: plain_gradient(*arguments), repeats),
+        "difference": max(differences),
     }
 
 
@@ -92,16 +95,9 @@ def iteration_curve(axis: str, repeats: int = 15) -> list[dict[str, float]]:
     for size in SIZES[axis]:
         at = {**STANDARD, axis: size}
         energy = random_energy(at["G"], at["H"])
-        functions = sequence_functions(CasadiEnergy(energy.model, at["G"]), CostOptions(), at["N"])
+        cost = parametric_functions(CasadiEnergy(energy.model, at["G"]), CostOptions(), at["N"]).J_seq
         arguments = _arguments(energy, at["N"])
-        seconds = sum(
-            median_time(call, repeats)
-            for call in (
-                lambda f=functions, a=arguments: f.cost(*a),
-                lambda f=functions, a=arguments: f.gradient(*a),
-                lambda f=functions, a=arguments: f.hessian(*a, 1, 0),
-            )
-        )
+        seconds = sum(median_time(partial(call, *arguments), repeats) for call in (cost, *_derivatives(cost)))
         rows.append({**at, "seconds": seconds})
     return rows
 

@@ -23,8 +23,7 @@ from regrasp_opt.benchmarks.subjects import resident
 from regrasp_opt.conventions import BoolArray, IntArray
 from regrasp_opt.planning import Recipe, RegraspPlan, RegraspProblem, solve_sequence
 from regrasp_opt.planning.recipes import RECIPES
-from regrasp_opt.solvers import LangevinRefiner, LatticeRefiner, NlpRefiner
-from regrasp_opt.solvers.program import ProgramOptions
+from regrasp_opt.solvers import LangevinRefiner, LatticeRefiner, NlpRefiner, ProgramOptions
 
 WARM_UP = 5.0
 """Seconds after which the uncounted first plan is given up."""

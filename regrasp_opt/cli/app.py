@@ -197,8 +197,8 @@ def bench(
         str,
         typer.Argument(
             metavar="EXPERIMENT",
-            help="cost-sweep, one-step, unseen, cross-effector, multi-step, hard-tiers, refiners, ablations, joint "
-            "or speed.",
+            help="cost-sweep, one-step, unseen, cross-effector, multi-step, hard-tiers, refiners, ablations, "
+            "embedding, joint or speed.",
         ),
     ],
     quick: Annotated[bool, typer.Option("--quick", help="Minutes instead of the paper's sizes.")] = False,

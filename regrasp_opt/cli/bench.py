@@ -11,6 +11,7 @@ from rich.table import Table
 from regrasp_opt.benchmarks.ablations import run_ablations
 from regrasp_opt.benchmarks.cost_sweep import run_cost_sweep
 from regrasp_opt.benchmarks.cross_effector import run_cross_effector
+from regrasp_opt.benchmarks.embedding import run_embedding
 from regrasp_opt.benchmarks.hard_tiers import run_hard_tiers
 from regrasp_opt.benchmarks.joint import run_joint
 from regrasp_opt.benchmarks.multi_step import run_multi_step
@@ -34,6 +35,7 @@ EXPERIMENTS: dict[str, Callable[[Session], Report]] = {
     "refiners": run_refiners,
     "ablations": run_ablations,
     "joint": run_joint,
+    "embedding": run_embedding,
 }
 """The experiments by their names on the command line."""
 

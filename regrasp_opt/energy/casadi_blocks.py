@@ -1,5 +1,8 @@
 """Energies of one pose of a chain, with the two derivative passes, for any number of grasps.
 
+A pose of a chain moves with its planar parameters or with the numbers of a full pose, or its energies themselves are
+given.
+
 Up to `BLOCK` grasps one expression serves value and derivatives. Beyond, its intermediate matrices would no longer fit
 the processor's caches, so grasps are evaluated block by block through functions that reuse their work memory; the
 energies are then computed once more in the derivative passes, which is far cheaper than the cache misses.
@@ -12,38 +15,97 @@ from itertools import pairwise
 from typing import Any, Protocol
 
 import casadi as ca
+import numpy as np
 
-from regrasp_opt.energy.casadi_energy import CasadiEnergy
-from regrasp_opt.energy.model import PlanarLayer
+from regrasp_opt.conventions import BoolArray, IntArray
+from regrasp_opt.energy.casadi_energy import Bottom, CasadiEnergy
+from regrasp_opt.energy.model import GraspEnergy, PlanarLayer
 
 BLOCK = 256
 """Most grasps that are evaluated in one piece."""
 
 
 class PoseEnergy(Protocol):
-    """Energies (G, 1) at one pose and their derivatives in its planar parameters."""
+    """Energies (G, 1) at one pose and their derivatives in its k parameters."""
 
     energy: Any
 
     def gradient(self, weights: Any) -> Any:
-        """Return ``sum_g weights_g dE_g/dxi`` (3, 1)."""
+        """Return ``sum_g weights_g dE_g`` (k, 1)."""
 
     def second(self, weights: Any) -> tuple[Any, Any]:
-        """Return dE/dxi (G, 3) and ``sum_g weights_g d2E_g/dxi2`` (3, 3)."""
+        """Return dE (G, k) and ``sum_g weights_g d2E_g`` (k, k)."""
         ...
 
 
-def pose_energy(energy: CasadiEnergy, layer: PlanarLayer, xi: Any, *, tangents: bool) -> PoseEnergy:
+def planar_energy(energy: CasadiEnergy, layer: PlanarLayer, xi: Any, *, tangents: bool) -> PoseEnergy:
     """Return the energies at ``dT(xi) @ T_p``; `tangents` says that `second` will be asked for, not `gradient`."""
     if energy.count <= BLOCK:
-        return _Whole(energy, layer, xi, tangents)
+        return _Whole(energy, energy.planar_bottom(layer, xi), tangents)
     return _Blocked(energy, layer, xi)
 
 
+def full_pose_energy(
+    energy: CasadiEnergy, source: GraspEnergy, T: Any, grasp_ids: IntArray, *, tangents: bool
+) -> PoseEnergy:
+    """Return the energies at a full pose `T` (4, 4), whose parameters are the 16 numbers of T, column by column."""
+    return _FullPose(energy, energy.pose_bottom(source, T, grasp_ids), tangents)
+
+
+class PartlyKnownEnergy:
+    """The energies of `pose`, but `value` where `known` (G,) is true; that value does not move with the pose."""
+
+    def __init__(self, pose: PoseEnergy, known: BoolArray, value: float) -> None:
+        self._pose, self._learned = pose, ca.MX(ca.DM((~known).astype(np.float64)))
+        self.energy = self._learned * pose.energy + value * (1 - self._learned)
+
+    def gradient(self, weights: Any) -> Any:
+        """Return the gradient of `pose` by the grasps that are not known."""
+        return self._pose.gradient(self._learned * weights)
+
+    def second(self, weights: Any) -> tuple[Any, Any]:
+        """Return the derivatives of `pose` by the grasps that are not known."""
+        tangent, curvature = self._pose.second(self._learned * weights)
+        return ca.repmat(self._learned, 1, tangent.shape[1]) * tangent, curvature
+
+
+class FixedEnergy:
+    """Given energies (G, 1) that nothing is differentiated in."""
+
+    def __init__(self, energy: Any) -> None:
+        self.energy = energy
+
+    def gradient(self, weights: Any) -> Any:
+        """Return nothing, (0, 1)."""
+        return ca.MX(0, 1)
+
+    def second(self, weights: Any) -> tuple[Any, Any]:
+        """Return nothing, (G, 0) and (0, 0)."""
+        return ca.MX(self.energy.shape[0], 0), ca.MX(0, 0)
+
+
+class FreeEnergy:
+    """Chosen ones, `ids` (G,), of given energies (F, 1) that are parameters themselves."""
+
+    def __init__(self, energies: Any, ids: IntArray) -> None:
+        rows, count = ids.tolist(), len(ids)
+        self.energy = energies[rows]
+        self._spread = ca.MX(ca.DM(ca.Sparsity.triplet(energies.shape[0], count, rows, list(range(count))), 1))
+
+    def gradient(self, weights: Any) -> Any:
+        """Return `weights` where they belong, (F, 1)."""
+        return self._spread @ weights
+
+    def second(self, weights: Any) -> tuple[Any, Any]:
+        """Return the choice (G, F) and structural zeros (F, F)."""
+        size = self._spread.shape[0]
+        return self._spread.T, ca.MX(size, size)
+
+
 class _Whole:
-    def __init__(self, energy: CasadiEnergy, layer: PlanarLayer, xi: Any, tangents: bool) -> None:
+    def __init__(self, energy: CasadiEnergy, bottom: Bottom, tangents: bool) -> None:
         self._expressions = energy
-        self._passed = energy.forward(layer, xi, tangents=tangents)
+        self._passed = energy.forward(bottom, tangents=tangents)
         self.energy = self._passed.energy
 
     def gradient(self, weights: Any) -> Any:
@@ -51,6 +113,19 @@ class _Whole:
 
     def second(self, weights: Any) -> tuple[Any, Any]:
         return self._passed.tangent, self._expressions.curvature(self._passed, weights)
+
+
+class _FullPose(_Whole):
+    """The last row of a pose carries no energy: derivatives in it are structural zeros."""
+
+    _spread = ca.DM(ca.Sparsity.triplet(16, 12, [4 * j + i for j in range(4) for i in range(3)], list(range(12))), 1)
+
+    def gradient(self, weights: Any) -> Any:
+        return self._spread @ super().gradient(weights)
+
+    def second(self, weights: Any) -> tuple[Any, Any]:
+        tangent, curvature = super().second(weights)
+        return tangent @ self._spread.T, self._spread @ curvature @ self._spread.T
 
 
 class _Blocked:
@@ -85,7 +160,8 @@ class _BlockFunctions:
         block = CasadiEnergy(energy.model, size, energy.blas)
         numbers, xi, w = ca.MX.sym("layer", energy.model.hidden, 3 * size), ca.MX.sym("xi", 3), ca.MX.sym("w", size)
         layer = block.layer_parameter(numbers)
-        light, full = (_Whole(block, layer, xi, tangents) for tangents in (False, True))
+        bottom = block.planar_bottom(layer, xi)
+        light, full = (_Whole(block, bottom, tangents) for tangents in (False, True))
         self.value = ca.Function("value", [numbers, xi], [light.energy])
         self.gradient = ca.Function("gradient", [numbers, xi, w], [light.gradient(w)])
         self.second = ca.Function("second", [numbers, xi, w], list(full.second(w)))

@@ -1,11 +1,12 @@
 """The energy of all grasps of one set as CasADi expressions, with the derivative passes that a solver needs.
 
 The first layer at a placement is affine in (x, y, cos theta, sin theta), so it enters as numbers (`PlanarLayer`) and
-everything behind it is one small network for all grasps at once. A pose has three planar parameters: derivatives are
-pushed forward beside the value, one matrix product a layer, and only the weighted second derivative is pulled back.
-The plainly built expression, differentiated by CasADi, is the reference that tests hold these passes to.
+everything behind it is one small network for all grasps at once. A pose has k = 3 planar parameters, or the k = 12
+numbers of a full pose: derivatives are pushed forward beside the value, one matrix product a layer, and only the
+weighted second derivative is pulled back. The plainly built expression, differentiated by CasADi, is the reference that
+tests hold these passes to.
 
-Shapes: ``xi`` (3, 1), energies (G, 1), tangents (G, 3), hidden layers (H, G).
+Shapes: ``xi`` (3, 1), energies (G, 1), tangents (G, k), hidden layers (H, G).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any, Literal, NamedTuple
 import casadi as ca
 import numpy as np
 
+from regrasp_opt.conventions import IntArray
 from regrasp_opt.energy.activations import casadi_activation
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy, PlanarLayer, planar_shift
 
@@ -25,13 +27,25 @@ Blas = Literal["classic", "reference"]
 class _Layer(NamedTuple):
     slope: Any  # first derivative of the activation (H, G)
     curve: Any  # second derivative of the activation (H, G)
-    tangents: list[Any]  # of the pre-activation in xi, three of (H, G), or none
+    tangents: list[Any]  # of the pre-activation in the pose's parameters, k of (H, G), or none
+
+
+class Bottom(NamedTuple):
+    """The first layer at a pose: pre-activation (H, G), its k tangents (H, G), and its second derivative.
+
+    ``bend`` (H, G) is the second derivative in the last parameter, or None; in all others the layer is affine.
+    """
+
+    value: Any
+    tangents: list[Any]
+    bend: Any
 
 
 class Pass(NamedTuple):
     """What one evaluation at a pose leaves behind.
 
-    ``energy`` (G, 1); ``tangent`` (G, 3) is dE/dxi, or None where it was not asked for; the rest is the way back.
+    ``energy`` (G, 1); ``tangent`` (G, k) is its derivative, or None where it was not asked for; the rest is the way
+    back.
     """
 
     energy: Any
@@ -39,8 +53,7 @@ class Pass(NamedTuple):
     slope: Any
     curve: Any
     output_tangent: Any
-    turns: tuple[Any, Any]
-    shift: tuple[Any, Any]
+    bottom: Bottom
     tape: list[_Layer]
 
 
@@ -69,7 +82,7 @@ class CasadiEnergy:
 
     def planar_expression(self, layer: PlanarLayer, xi: Any) -> Any:
         """Return the energies (G, 1) at ``dT(xi) @ T_p`` (Eq. 6), plainly built; the reference for `forward`."""
-        return self._plain(self._bottom(layer, xi))
+        return self._plain(self.planar_bottom(layer, xi).value)
 
     def pose_expression(self, energy: GraspEnergy, T: Any) -> Any:
         """Return the energies (G, 1) at a full object pose `T` (4, 4), plainly built; CasADi can differentiate it."""
@@ -82,10 +95,27 @@ class CasadiEnergy:
                 z = z + self.product(ca.DM(first.tcp[i]), sum(rows[1:], rows[0]))
         return self._plain(z)
 
-    def _bottom(self, layer: PlanarLayer, xi: Any) -> Any:
-        """Return the pre-activation (H, G) of the first layer."""
+    def planar_bottom(self, layer: PlanarLayer, xi: Any) -> Bottom:
+        """Return the first layer at ``dT(xi) @ T_p`` with its tangents in (x, y, theta)."""
+        c, s = ca.cos(xi[2]), ca.sin(xi[2])
+        dx, dy = ca.repmat(layer.dx, 1, self.count), ca.repmat(layer.dy, 1, self.count)
         shift = ca.repmat(layer.dx * xi[0] + layer.dy * xi[1], 1, self.count)
-        return layer.constant + ca.cos(xi[2]) * layer.cosine + ca.sin(xi[2]) * layer.sine + shift
+        value = layer.constant + c * layer.cosine + s * layer.sine + shift
+        return Bottom(value, [dx, dy, c * layer.sine - s * layer.cosine], -(c * layer.cosine + s * layer.sine))
+
+    def pose_bottom(self, energy: GraspEnergy, T: Any, grasp_ids: IntArray) -> Bottom:
+        """Return the first layer at a full pose `T` (4, 4), with its tangents in the upper rows of T, column by column.
+
+        `grasp_ids` (G,) chooses the grasps of `energy`.
+        """
+        first, grasps = energy.first_layer, energy.grasps.T_object_tcp[grasp_ids]
+        value, tangents = ca.MX(ca.DM(first.constant[:, grasp_ids])), []
+        for j in range(4):
+            for i in range(3):
+                moved = first.pose[i, :, j, None] + first.tcp[i] @ grasps[:, j].T
+                tangents.append(ca.MX(ca.DM(moved)))
+                value = value + T[i, j] * tangents[-1]
+        return Bottom(value, tangents, None)
 
     def _plain(self, z: Any) -> Any:
         for W, b in zip(self._weights, self._biases, strict=True):
@@ -99,13 +129,9 @@ class CasadiEnergy:
         s = 1 / (1 + ca.exp(-f))
         return ca.fmax(f, 0) + ca.log1p(ca.exp(-ca.fabs(f))), s, s * (1 - s)
 
-    def forward(self, layer: PlanarLayer, xi: Any, *, tangents: bool) -> Pass:
-        """Evaluate the energies at planar parameters `xi`, with their gradients if `tangents`."""
-        c, s = ca.cos(xi[2]), ca.sin(xi[2])
-        z = self._bottom(layer, xi)
-        turns = c * layer.sine - s * layer.cosine, -(c * layer.cosine + s * layer.sine)  # first, second in theta
-        shift = ca.repmat(layer.dx, 1, self.count), ca.repmat(layer.dy, 1, self.count)
-        moving = [*shift, turns[0]] if tangents else []
+    def forward(self, bottom: Bottom, *, tangents: bool) -> Pass:
+        """Evaluate the energies at the pose of `bottom`, with their gradients if `tangents`."""
+        z, moving = bottom.value, bottom.tangents if tangents else []
         tape = []
         for W, b in zip(self._weights, self._biases, strict=True):
             a = casadi_activation(self.model.activation, z)
@@ -115,20 +141,21 @@ class CasadiEnergy:
             z = z + ca.repmat(b, 1, self.count)
         energy, slope, curve = self._output(z.T)
         df = ca.horzcat(*[t.T for t in moving]) if tangents else None
-        tangent = ca.repmat(slope, 1, 3) * df if tangents else None
-        return Pass(energy, tangent, slope, curve, df, turns, shift, tape)
+        tangent = ca.repmat(slope, 1, len(moving)) * df if tangents else None
+        return Pass(energy, tangent, slope, curve, df, bottom, tape)
 
     def gradient(self, passed: Pass, weights: Any) -> Any:
-        """Return ``sum_g weights_g dE_g/dxi`` (3, 1) by one sweep back; needs no tangents."""
+        """Return ``sum_g weights_g dE_g`` (k, 1) by one sweep back; needs no tangents."""
         adjoint = (weights * passed.slope).T
         for W, layer in zip(reversed(self._weights), reversed(passed.tape), strict=True):
             adjoint = self.product(W.T, adjoint) * layer.slope
-        return ca.vertcat(*[ca.dot(adjoint, t) for t in (*passed.shift, passed.turns[0])])
+        return ca.vertcat(*[ca.dot(adjoint, t) for t in passed.bottom.tangents])
 
     def curvature(self, passed: Pass, weights: Any) -> Any:
-        """Return ``sum_g weights_g d2E_g/dxi2`` (3, 3) at fixed `weights` (G, 1), by one sweep back."""
+        """Return ``sum_g weights_g d2E_g`` (k, k) at fixed `weights` (G, 1), by one sweep back."""
         df = passed.output_tangent
-        total = self.product(df.T, ca.repmat(weights * passed.curve, 1, 3) * df)
+        count = df.shape[1]
+        total = self.product(df.T, ca.repmat(weights * passed.curve, 1, count) * df)
         adjoint = (weights * passed.slope).T
         for W, layer in zip(reversed(self._weights), reversed(passed.tape), strict=True):
             adjoint = self.product(W.T, adjoint)
@@ -137,4 +164,5 @@ class CasadiEnergy:
             pushed = ca.horzcat(*[ca.vec(bent * t) for t in layer.tangents])
             total = total + self.product(ca.horzcat(*columns).T, pushed)
             adjoint = adjoint * layer.slope
-        return total + ca.diagcat(ca.MX(2, 2), ca.dot(adjoint, passed.turns[1]))
+        bend = passed.bottom.bend
+        return total if bend is None else total + ca.diagcat(ca.MX(count - 1, count - 1), ca.dot(adjoint, bend))

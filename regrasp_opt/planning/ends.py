@@ -1,4 +1,4 @@
-"""Checks of the start and goal poses that a caller gives, before anything is planned."""
+"""The start and goal poses that a caller gives: checks before anything is planned, and what is known of them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from regrasp_opt.conventions import FloatArray, as_pose
+from regrasp_opt.connectivity import BLOCKED, exact_energy
+from regrasp_opt.conventions import BoolArray, FloatArray, as_pose
+from regrasp_opt.energy.model import GraspEnergy
 from regrasp_opt.errors import PoseError
 from regrasp_opt.feasibility.standing import resting_problem
 from regrasp_opt.objects import ObjectModel
@@ -36,6 +38,11 @@ def checked_end(T: Any, name: str, problem: RegraspProblem) -> FloatArray:
     if overlapped is not None:
         raise PoseError(f"the object overlaps {overlapped} at the {name} pose; move it away")
     return T
+
+
+def known_energy(energy: GraspEnergy, T: FloatArray, feasible: BoolArray) -> FloatArray:
+    """Return energies (G,) at the pose `T` (4, 4) where `feasible` (G,) is known exactly."""
+    return exact_energy(feasible) if energy.model.bounded else np.where(feasible, energy(T), BLOCKED)
 
 
 def _check_workspace(T: FloatArray, name: str, model: ObjectModel, workcell: Workcell, vertices: FloatArray) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from regrasp_opt.connectivity import TableRule
+from regrasp_opt.connectivity import CostOptions, TableRule
 from regrasp_opt.connectivity.embedding import ProblemEnergy
 from regrasp_opt.conventions import BoolArray, FloatArray, as_pose, planar_transform, translation
 from regrasp_opt.errors import GraspError, ModelError, PoseError, UnknownNameError
@@ -27,7 +28,7 @@ from regrasp_opt.planning.model_store import (
     load_prepared_grasps,
     model_key,
 )
-from regrasp_opt.solvers import PoseLattice
+from regrasp_opt.solvers import PoseLattice, RegraspNLP
 from regrasp_opt.workcell import Workcell, load_workcell
 
 DEFAULT_GRASPS = 200
@@ -167,6 +168,49 @@ class RegraspProblem:
             last = len(self.placements) - 1
             raise PoseError(f"there is no placement {placement}; '{self.object.name}' has placements 0 to {last}")
         return planar_transform(np.array([x, y, yaw])) @ self.placement_poses[placement]
+
+    def nlp(
+        self,
+        start: Any,
+        goal: Any,
+        *,
+        placements: Sequence[int] | None = None,
+        num_regrasps: int = 1,
+        guess: Any = None,
+        mask: Any = None,
+        options: CostOptions | None = None,
+    ) -> RegraspNLP:
+        """Return the search for intermediate poses as a nonlinear program, to extend and to solve.
+
+        Parameters
+        ----------
+        start, goal : (4, 4) pose T_world_object, (G,) energies, or "input"
+            A pose gets its exact energies, as in `solve_sequence`. "input" makes the energies a parameter of the
+            program, to be set by `RegraspNLP.set_parameter`.
+        placements : sequence of int, optional
+            Number of the stable placement of each intermediate pose; by default those of the most promising chain of
+            lattice poses with `num_regrasps` of them.
+        num_regrasps : int
+            N, where `placements` are not given.
+        guess : (N, 3), optional
+            Planar parameters to start from; by default those of the most promising chain.
+        mask : (G,) bool, "input", or None
+            Which grasps may be used; see `ProblemEnergy.casadi_functions`.
+        options : CostOptions, optional
+            The paper's by default.
+
+        Raises
+        ------
+        PoseError
+            If `start` or `goal` cannot be a pose of the object in this workcell, or has no feasible grasp.
+        OptionError
+            If a placement does not exist, or shapes do not fit.
+        ModelError
+            If no energy was prepared for the problem.
+        """
+        from regrasp_opt.planning.sequence_nlp import sequence_nlp
+
+        return sequence_nlp(self, start, goal, placements, num_regrasps, guess, mask, options or CostOptions())
 
     def feasible_grasps(self, T: Any) -> BoolArray:
         """Return which grasps (G,) are feasible at object pose `T` (4, 4) T_world_object, exactly.

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from regrasp_opt.connectivity import BLOCKED, CostOptions, SequenceObjective, exact_energy, pair_score
+from regrasp_opt.connectivity import CostOptions, SequenceObjective, exact_energy, pair_score
 from regrasp_opt.conventions import FloatArray, as_seed
 from regrasp_opt.errors import OptionError
-from regrasp_opt.planning.ends import checked_end
+from regrasp_opt.planning.ends import checked_end, known_energy
 from regrasp_opt.planning.plan import RegraspPlan, Status
 from regrasp_opt.planning.problem import RegraspProblem
 from regrasp_opt.planning.recipes import Recipe, as_recipe
@@ -283,7 +283,7 @@ class _Search:
         energy = self.problem.energy
         if self.recipe.knowledge == "learned":
             return energy(end.T)
-        return exact_energy(end.all()) if energy.model.bounded else np.where(end.all(), energy(end.T), BLOCKED)
+        return known_energy(energy, end.T, end.all())
 
     def result(
         self,

@@ -8,6 +8,7 @@ from regrasp_opt.benchmarks import (
     ablations,
     cost_sweep,
     cross_effector,
+    embedding,
     hard_tiers,
     joint,
     models,
@@ -113,6 +114,17 @@ def test_ablations(session, monkeypatch):
     rows = check(ablations.run_ablations(session), session)
     ap = {row["variant"]: row["ap"] for row in rows if "ap" in row}
     assert ap["default"] == ap["lambda_reg 0"] > ap["samples / 4"]
+
+
+def test_embedding(session, monkeypatch):
+    monkeypatch.setattr(embedding, "REPEATS", 1)
+    monkeypatch.setattr(embedding, "REGRASPS", (1, 2))
+    rows = check(embedding.run_embedding(session), session)
+    assert [row["N"] for row in rows] == list(embedding.REGRASPS)
+    for row in rows:
+        assert row["opti_cost"] == pytest.approx(row["plain_cost"], abs=1e-6)
+        assert row["opti_cost"] == pytest.approx(row["nlp_cost"], abs=1e-6)
+        assert all(row[f"{way}_ms"] > 0 for way in embedding.WAYS)
 
 
 def test_a_broken_mesh_is_a_row_and_the_rest_runs_on(session, tmp_path, monkeypatch):

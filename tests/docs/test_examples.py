@@ -34,18 +34,22 @@ def test_a_plan_is_printed_and_proved(output):
     assert text.endswith("proved again: True\n")
 
 
-def test_an_own_mesh_in_an_own_workcell_is_planned_and_shown(output, tmp_path):
-    text = output("02_own_mesh_and_workcell.py")
+def test_an_own_mesh_and_an_own_robot_are_planned_and_shown(output, tmp_path):
+    text = output("02_own_mesh_and_robot.py")
     assert "bracket: 5 stable placements" in text
+    assert "arm: 6 joints, inverse kinematics by AnalyticIk" in text
     assert "SOLVED: 1 regrasp(s)" in text
     assert "shelf" in (tmp_path / "own_plan.html").read_text(encoding="utf-8")
 
 
-def test_three_refiners_are_compared(output):
-    table = rows(output("03_langevin_against_ipopt.py", "1"), r"^(\w+) +1/1 +[\d.]+ +(-?[\d.]+) +[\d.]+$")
-    assert [name for name, _ in table] == ["ipopt", "lattice", "langevin"]
-    costs = dict(table)
-    assert float(costs["ipopt"]) <= float(costs["lattice"])
+def test_refiners_are_compared_and_plotted(output, tmp_path):
+    text = output("03_langevin_against_ipopt.py", "1")
+    table = rows(text, r"^(\w+) +1/1 +[\d.]+ +-?[\d.]+ +[\d.]+$")
+    assert table == ["ipopt", "lattice", "langevin"]
+    best = dict(rows(text, r"^(\w+) +best of 8 random starts: J_seq = (-?[\d.]+)$"))
+    assert float(best["ipopt"]) < float(best["langevin"])
+    page = (tmp_path / "langevin_against_ipopt.html").read_text(encoding="utf-8")
+    assert page.count('"type":"scatter"') >= 16
 
 
 def test_an_own_term_pulls_the_pose_to_its_place_and_grasps_remain(output):
@@ -62,6 +66,25 @@ def test_an_own_refiner_improves_on_the_lattice(output):
     costs = dict(table)
     assert list(costs) == ["lattice", "coordinate-descent", "ipopt"]
     assert float(costs["coordinate-descent"]) < float(costs["lattice"])
+
+
+def test_joint_travel_falls_as_its_weight_grows_and_grasps_remain(output):
+    text = output("06_joint_travel_in_opti.py")
+    planned = float(rows(text, r"least travel is ([\d.]+) rad")[0])
+    table = rows(text, r"^ +[\d.]+ +([\d.]+) +(-?[\d.]+)   \[ *(\d+) +(\d+)\] +(True|False)$")
+    travel, cost = ([float(row[k]) for row in table] for k in (0, 1))
+    assert len(table) == 5
+    assert travel[-1] < min(planned, travel[0])
+    assert cost[0] <= min(cost) + 1e-3
+    assert all(int(row[2]) > 0 and int(row[3]) > 0 and row[4] == "True" for row in table)
+
+
+def test_exported_c_finds_what_ipopt_finds(output):
+    text = output("07_export_to_c.py")
+    first = float(rows(text, r"^iteration   0: J_seq = (-?[\d.]+)$")[0])
+    by_c, by_ipopt = (float(rows(text, rf"^{name}.*J_seq = (-?[\d.]+) at")[0]) for name in ("C", "Ipopt"))
+    assert by_c < first
+    assert by_c == pytest.approx(by_ipopt, abs=2e-3)
 
 
 def test_every_example_has_a_test_and_says_how_to_run_it():

@@ -1,0 +1,103 @@
+"""A CasADi solver of one program, and what it says about a solution.
+
+Neither a CasADi solver nor MUMPS may be used from two threads at once: a lock sees to it.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from regrasp_opt.conventions import FloatArray
+from regrasp_opt.errors import OptionError
+from regrasp_opt.solvers.options import ProgramOptions, plugin_options
+
+CONVERGED = {"Solve_Succeeded", "Solved_To_Acceptable_Level"}
+lock = threading.RLock()
+
+
+@dataclass(frozen=True, eq=False)
+class NlpSolution:
+    """Where a solver ended.
+
+    Attributes
+    ----------
+    x : (n,)
+    f : float
+        The objective there.
+    status : str
+        How the solver ended, in its own words.
+    converged : bool
+        Whether it says that it converged.
+    violation : float
+        By how much a constraint or bound fails at most, recomputed from ``x`` and ``g``.
+    iterations : int
+    evaluations : int
+        Calls of the objective, the constraints and their derivatives.
+    trace : (k,)
+        The objective by iteration, the start first; empty where the plugin does not tell.
+    """
+
+    x: FloatArray
+    f: float
+    status: str
+    converged: bool
+    violation: float
+    iterations: int
+    evaluations: int
+    trace: FloatArray
+
+
+class NlpSolver:
+    """A CasADi solver for the program ``{x, p, f, g}``.
+
+    Raises
+    ------
+    OptionError
+        If the plugin cannot be set up.
+    """
+
+    def __init__(self, program: Mapping[str, Any], settings: ProgramOptions) -> None:
+        self.settings = settings
+        try:
+            self.casadi_solver: Any = ca.nlpsol(
+                "regrasp", settings.plugin, dict(program), {"print_time": False, **plugin_options(settings)}
+            )
+        except RuntimeError as error:
+            reason = str(error).strip().splitlines()[-1]
+            raise OptionError(f"CasADi cannot set up the plugin '{settings.plugin}' ({reason}); use ipopt") from error
+
+    def solve(
+        self,
+        x0: ArrayLike,
+        *,
+        lbx: ArrayLike = -np.inf,
+        ubx: ArrayLike = np.inf,
+        lbg: ArrayLike = -np.inf,
+        ubg: ArrayLike = np.inf,
+        p: ArrayLike = (),
+    ) -> NlpSolution:
+        """Solve from `x0` (n,) with parameters `p` (m,), all bounds as `casadi.nlpsol` takes them."""
+        with lock:
+            found = self.casadi_solver(x0=x0, p=np.asarray(p), lbx=lbx, ubx=ubx, lbg=lbg, ubg=ubg)
+            stats = self.casadi_solver.stats()
+        x, g, f = np.array(found["x"]).ravel(), np.array(found["g"]).ravel(), float(found["f"])
+        beyond = [np.asarray(lbx) - x, x - np.asarray(ubx), np.asarray(lbg) - g, g - np.asarray(ubg)]
+        violation = max([0.0, *(float(part.max()) for part in beyond if part.size)])
+        status = str(stats.get("return_status", "unknown"))
+        return NlpSolution(
+            x,
+            f,
+            status,
+            status in CONVERGED or (self.settings.plugin != "ipopt" and bool(stats.get("success", False))),
+            violation if np.isfinite(x).all() and np.isfinite(g).all() else np.inf,
+            int(stats.get("iter_count", 0)),
+            sum(int(count) for name, count in stats.items() if name.startswith("n_call_nlp_")),
+            np.array(stats.get("iterations", {}).get("obj", []), dtype=np.float64),
+        )
