@@ -53,9 +53,10 @@ class NlpRefiner:
         with lock:
             for placements, xi in zip(starts.placements, starts.xi, strict=True):
                 ids, ends = _active_grasps(objective, placements, xi)
+                blocked = objective.ruled_out(placements, xi)
                 program = self._program(objective, len(xi), len(ids))
                 layers = layers_parameter(objective.energy, objective.placements[placements], ids)
-                solves.append(program.solve(xi, layers, ends, objective.bounds))
+                solves.append(program.solve(xi, layers, blocked[:, ids], ends, objective.bounds))
                 grasps.append(len(ids))
         xi = np.array([solve.xi for solve in solves]).reshape(starts.xi.shape)
         status = tuple(solve.status for solve in solves)
@@ -86,9 +87,7 @@ def useful_grasps(objective: SequenceObjective, placements: IntArray, xi: FloatA
     What the table rules out at every intermediate pose is left out.
     """
     useful = objective.useful_grasps(len(xi))
-    if objective.table_rule is None:
-        return useful
-    return useful[~objective.table_rule(placements, xi)[:, useful].all(axis=0)]
+    return useful[~objective.ruled_out(placements, xi)[:, useful].all(axis=0)]
 
 
 def _active_grasps(objective: SequenceObjective, placements: IntArray, xi: FloatArray) -> tuple[IntArray, FloatArray]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from regrasp_opt.connectivity import CostOptions
 from regrasp_opt.connectivity.casadi_costs import parametric_functions
-from regrasp_opt.conventions import FloatArray
+from regrasp_opt.conventions import BoolArray, FloatArray
 from regrasp_opt.energy.casadi_energy import CasadiEnergy
 from regrasp_opt.errors import OptionError
 from regrasp_opt.solvers.options import ProgramOptions
@@ -51,21 +51,24 @@ class SequenceProgram:
         if options.variant == "Jh":
             raise OptionError("the truncated cost Jh is not differentiable; use variant J or J+ with a gradient solver")
         self.settings = settings
-        self._functions = parametric_functions(energy, options, num_regrasps)
+        self._functions = parametric_functions(energy, options, num_regrasps, blocking=True)
         nlp = RegraspNLP(self._functions, _ANYWHERE, np.zeros((num_regrasps, 3)))
         if settings.pair_limit is not None:
             nlp.add_constraint("pairs", nlp.scores, upper=settings.pair_limit)
         self._solver = nlp.solver(settings)
 
-    def solve(self, xi: FloatArray, layers: FloatArray, ends: FloatArray, bounds: FloatArray) -> Solve:
-        """Solve from `xi` (N, 3) with `layers` (H, 3 G N), energies `ends` (G, 2) and workspace `bounds` (2, 2).
+    def solve(
+        self, xi: FloatArray, layers: FloatArray, blocked: BoolArray, ends: FloatArray, bounds: FloatArray
+    ) -> Solve:
+        """Solve from `xi` (N, 3) with the parameters of `parametric_functions` within the workspace `bounds` (2, 2).
 
-        The start is returned where the solver finds nothing cheaper, or ends outside the constraints.
+        `layers` is (H, 3 G N), `blocked` (N, G) and `ends` (G, 2), the energies at start and goal. The start is
+        returned where the solver finds nothing cheaper, or ends outside the constraints.
         """
         low, high = (np.tile(np.append(side, e), len(xi)) for side, e in zip(bounds, (-np.inf, np.inf), strict=True))
         x0 = np.clip(xi.ravel(), low, high)
-        start_cost = float(self._functions.J_seq(x0.reshape(-1, 3).T, layers, *ends.T))
-        packed = np.concatenate([layers.T.ravel(), ends.T.ravel()])
+        start_cost = float(self._functions.J_seq(x0.reshape(-1, 3).T, layers, blocked.T, *ends.T))
+        packed = np.concatenate([layers.T.ravel(), blocked.ravel(), ends.T.ravel()])
         limit = self.settings.pair_limit
         rows = {} if limit is None else {"ubg": limit}
         found = self._solver.solve(x0, p=packed, lbx=low, ubx=high, **rows)

@@ -174,7 +174,10 @@ class ConnectivityFunctions:
         if self._blocked is None:
             return poses
         known = zip(poses, self._blocked[:, ids], strict=True)
-        return [PartlyKnownEnergy(pose, row, BLOCKED) if row.any() else pose for pose, row in known]
+        return [
+            PartlyKnownEnergy(pose, ca.MX(ca.DM(row.astype(np.float64))), BLOCKED) if row.any() else pose
+            for pose, row in known
+        ]
 
     @property
     def _places(self) -> dict[str, slice]:
@@ -219,18 +222,27 @@ def pose_functions(
     return ConnectivityFunctions(_Moving({"T": T}, "T", make), len(energy), options, ends)
 
 
-def parametric_functions(energy: CasadiEnergy, options: CostOptions, num_regrasps: int) -> ConnectivityFunctions:
+def parametric_functions(
+    energy: CasadiEnergy, options: CostOptions, num_regrasps: int, *, blocking: bool = False
+) -> ConnectivityFunctions:
     """Return the functions of ``xi`` (3, N), ``layers`` (H, 3 G N), ``start`` and ``goal`` (G, 1).
 
-    They are differentiable in ``xi`` only; `layers_parameter` makes ``layers``.
+    They are differentiable in ``xi`` only; `layers_parameter` makes ``layers``. With `blocking`, ``blocked`` (G, N)
+    follows ``layers``: 1 for grasps known to be infeasible at a pose, 0 for others.
     """
     xi, packed = ca.MX.sym("xi", 3, num_regrasps), _layers_symbol(energy, num_regrasps)
+    inputs = {"xi": xi, "layers": packed}
+    if blocking:
+        inputs["blocked"] = ca.MX.sym("blocked", energy.count, num_regrasps)
 
     def make(ids: IntArray, tangents: bool) -> list[PoseEnergy]:
         layers = _split(energy, packed)
-        return [planar_energy(energy, layer, xi[:, i], tangents=tangents) for i, layer in enumerate(layers)]
+        poses = [planar_energy(energy, layer, xi[:, i], tangents=tangents) for i, layer in enumerate(layers)]
+        if not blocking:
+            return poses
+        return [PartlyKnownEnergy(pose, inputs["blocked"][:, i], BLOCKED) for i, pose in enumerate(poses)]
 
-    moving = _Moving({"xi": xi, "layers": packed}, "xi", make)
+    moving = _Moving(inputs, "xi", make)
     return ConnectivityFunctions(moving, energy.count, options, ChainEnds(INPUT, INPUT), free_ends=False)
 
 

@@ -73,8 +73,13 @@ class SequenceObjective:
 
     def energies(self, placements: IntArray, xi: FloatArray, dtype: DTypeLike = np.float64) -> NDArray[Any]:
         """Return the energies (..., G) of intermediate poses: `placements` (...) and `xi` (..., 3)."""
-        learned = self.energy(self.poses(placements, xi), dtype)
-        return learned if self.table_rule is None else block(learned, self.table_rule(placements, xi))
+        return block(self.energy(self.poses(placements, xi), dtype), self.ruled_out(placements, xi))
+
+    def ruled_out(self, placements: IntArray, xi: FloatArray) -> BoolArray:
+        """Return which grasps (..., G) the table rules out at intermediate poses: `placements` (...), `xi` (..., 3)."""
+        if self.table_rule is None:
+            return np.zeros((*np.shape(placements), len(self.energy)), dtype=bool)
+        return self.table_rule(placements, xi)
 
     def useful_grasps(self, num_regrasps: int) -> IntArray:
         """Return the grasps (A,) that matter for sequences of `num_regrasps` intermediate poses.

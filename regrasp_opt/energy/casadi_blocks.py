@@ -15,9 +15,8 @@ from itertools import pairwise
 from typing import Any, Protocol
 
 import casadi as ca
-import numpy as np
 
-from regrasp_opt.conventions import BoolArray, IntArray
+from regrasp_opt.conventions import IntArray
 from regrasp_opt.energy.casadi_energy import Bottom, CasadiEnergy
 from regrasp_opt.energy.model import GraspEnergy, PlanarLayer
 
@@ -53,10 +52,10 @@ def full_pose_energy(
 
 
 class PartlyKnownEnergy:
-    """The energies of `pose`, but `value` where `known` (G,) is true; that value does not move with the pose."""
+    """The energies of `pose`, but `value` where `known` (G, 1) is 1, not 0; that value does not move with the pose."""
 
-    def __init__(self, pose: PoseEnergy, known: BoolArray, value: float) -> None:
-        self._pose, self._learned = pose, ca.MX(ca.DM((~known).astype(np.float64)))
+    def __init__(self, pose: PoseEnergy, known: Any, value: float) -> None:
+        self._pose, self._learned = pose, 1 - known
         self.energy = self._learned * pose.energy + value * (1 - self._learned)
 
     def gradient(self, weights: Any) -> Any:

@@ -33,10 +33,11 @@ def few_grasps(bottle_problem):
 
 
 def numpy_cost(plan, alpha=1.0, lambda_reg=0.5):
-    """Return Eq. 5 with exact knowledge at both ends, written out."""
+    """Return Eq. 5 with exact knowledge at both ends and of what the table rules out, written out."""
     problem = plan.problem
+    ruled_out = problem.table_rule(plan.placements, plan.xi)
     ends = [np.where(problem.feasible_grasps(T), 0.0, 30.0) for T in plan.poses[[0, -1]]]
-    E = [ends[0], *(problem.energy(T) for T in plan.poses[1:-1]), ends[1]]
+    E = [ends[0], *np.where(ruled_out, 30.0, problem.energy(plan.poses[1:-1])), ends[1]]
     Q = np.array([-alpha * logsumexp(-(a + b) / alpha) for a, b in itertools.pairwise(E)])
     return Q.sum() + lambda_reg * (np.diff(Q) ** 2).sum()
 
