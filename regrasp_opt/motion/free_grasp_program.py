@@ -12,7 +12,7 @@ from regrasp_opt.conventions import FloatArray
 from regrasp_opt.energy.free_energy import free_grasp_function
 from regrasp_opt.energy.model import EnergyModel
 from regrasp_opt.motion.joint_program import planar
-from regrasp_opt.solvers.nlp import _lock as solver_lock
+from regrasp_opt.solvers.nlp_solver import lock as solver_lock
 
 STEP = np.array([0.02, 0.02, 0.02, 0.4, 0.4, 0.4])
 """Largest step of a grasp along and about each axis of its tool frame [m, rad]."""

@@ -27,7 +27,7 @@ from regrasp_opt.motion.joint_bodies import Rows, configuration_rows, object_row
 from regrasp_opt.motion.joint_measures import Bounds, Measure
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.robots.casadi_kinematics import flange_jacobian, forward_kinematics
-from regrasp_opt.solvers.nlp import _lock as solver_lock
+from regrasp_opt.solvers.nlp_solver import lock as solver_lock
 
 POSITION_UNIT = 0.1
 """Length that weighs as much as an angle of one radian in kinematic residuals [m]."""
