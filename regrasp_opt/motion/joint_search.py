@@ -15,7 +15,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from regrasp_opt.connectivity import CostOptions, SequenceObjective, block, exact_energy
+from regrasp_opt.connectivity import CostOptions, SequenceObjective, exact_energy
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.errors import OptionError
 from regrasp_opt.motion.joint_choice import best_choices, states_at, unreachable
@@ -246,18 +246,17 @@ class JointSearch:
 
 
 def _connectivity(plan: RegraspPlan, ends: list[PoseKnowledge]) -> tuple[SequenceObjective, Any]:
-    """Return ``J_seq`` with exact ends as an objective and as a `casadi.Function` of ``xi`` (3, N).
-
-    The function applies the table's rule at the first and at the last intermediate pose only.
-    """
+    """Return ``J_seq`` with exact ends as an objective and as a `casadi.Function` of ``xi`` (3, N)."""
     problem = plan.problem
     start, goal = (exact_energy(end.all()) for end in ends)
     bounds, rule = problem.workcell.bounds.array, problem.table_rule
     objective = SequenceObjective(problem.energy, problem.placement_poses, start, goal, bounds, CostOptions(), rule)
-    if len(plan.xi):
-        ruled_out = rule(plan.placements, plan.xi)
-        start, goal = block(start, ruled_out[0]), block(goal, ruled_out[-1])
-    functions = problem.energy.casadi_functions(start=start, goal=goal, placements=plan.placements.tolist())
+    functions = problem.energy.casadi_functions(
+        start=start,
+        goal=goal,
+        placements=plan.placements.tolist(),
+        blocked=rule(plan.placements, plan.xi) if len(plan.xi) else None,
+    )
     return objective, functions.J_seq
 
 

@@ -260,12 +260,12 @@ def test_a_short_step_is_taken_where_the_whole_one_is_refused(plan, monkeypatch)
 
     def refusal(self, xi, choice):
         refused.append(xi)
-        return "too far" if len(refused) == 2 else ""
+        return "too far" if len(refused) == 3 else ""
 
     monkeypatch.setattr(JointSearch, "_refusal", refusal)
     result = refine_plan(plan, options=SHORT)
     assert result.stats[0]["step"] == 0.5
-    np.testing.assert_allclose(refused[2], (refused[0] + refused[1]) / 2)
+    np.testing.assert_allclose(refused[3], (refused[0] + refused[2]) / 2)
 
 
 def test_bad_input_is_refused(plan, bottle_problem):
