@@ -1,0 +1,237 @@
+"""`plan_motion`: joint trajectories that carry out a regrasp plan, and `plan_with_motion`, which plans both.
+
+For each transition the shared grasps are tried in the order of how far the arm would have to move. A grasp is taken
+when all seven of its motions, and the way to its approach, were proved. Straight motions are tried first for all
+grasps; only then does the sampling planner look for ways around, at first briefly, then for longer.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from regrasp_opt.conventions import FloatArray
+from regrasp_opt.motion.connections import Connector
+from regrasp_opt.motion.options import JAW_TIME, MotionOptions
+from regrasp_opt.motion.plan import MotionPlan, MotionStatus, Phase, Segment
+from regrasp_opt.motion.scene import LEVELS, MotionScene, Setting
+from regrasp_opt.motion.trajectory import Trajectory
+from regrasp_opt.planning import RegraspPlan, RegraspProblem, Transition, solve_sequence
+from regrasp_opt.threads import one_blas_thread
+
+BRIEF = 8
+"""The share of the sampling planner's steps that is spent on each grasp in its first round is one in this many."""
+
+
+def plan_motion(plan: RegraspPlan, options: MotionOptions | None = None) -> MotionPlan:
+    """Plan the motion of arm and jaw that carries out `plan`.
+
+    Parameters
+    ----------
+    plan : RegraspPlan
+    options : MotionOptions, optional
+
+    Returns
+    -------
+    MotionPlan
+        Its status says how planning ended. SOLVED means that every segment was proved free of collision over its whole
+        length and within the joints' limits; otherwise there are no segments, and `reason` says what failed.
+
+    Raises
+    ------
+    OptionError
+        If the home or the accelerations do not fit the robot.
+    """
+    options = options or MotionOptions()
+    began = time.perf_counter()
+    robot = plan.problem.workcell.robot
+    connector, home = Connector.of(robot, options), options.home_of(robot)
+    with one_blas_thread():
+        try:
+            segments = _Planner(plan, options, connector, home).run()
+            status, reason = MotionStatus.SOLVED, ""
+        except _Failure as failure:
+            segments, status, reason = (), failure.status, failure.reason
+    limits = connector.velocity, connector.acceleration
+    return MotionPlan(status, reason, plan, segments, *limits, time.perf_counter() - began)
+
+
+class _Failure(Exception):
+    def __init__(self, status: MotionStatus, reason: str) -> None:
+        self.status, self.reason = status, reason
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A shared grasp of one transition, with the configurations (dof,) that hold it at both poses."""
+
+    grasp_id: int
+    q_pick: FloatArray
+    q_place: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """Where the arm rests (dof,), or None where it may begin anywhere, and the opening of the jaw [m]."""
+
+    q: FloatArray | None
+    opening: float | None
+
+
+class _Planner:
+    def __init__(
+        self, plan: RegraspPlan, options: MotionOptions, connector: Connector, home: FloatArray | None
+    ) -> None:
+        self.plan, self.options, self.connector, self.home = plan, options, connector, home
+        self.scene = MotionScene(plan.problem)
+        self.rng = np.random.default_rng([options.seed, 3])
+
+    def run(self) -> tuple[Segment, ...]:
+        if not self.plan.solved:
+            raise _Failure(MotionStatus.NO_PLAN, f"the plan's status is {self.plan.status.name.lower()}")
+        self._check_home()
+        state, segments = _State(self.home, None), list[Segment]()
+        for index in range(len(self.plan.transitions)):
+            state, added = self._transition(index, state)
+            segments += added
+        return tuple(segments)
+
+    def _check_home(self) -> None:
+        effector = self.plan.problem.workcell.end_effector
+        for T, where in ((self.plan.poses[0], "start"), (self.plan.poses[-1], "goal")):
+            setting = self.scene.beside(T, (0.0, effector.max_opening))
+            if self.home is not None and not setting.passes(self.home, len(LEVELS) - 1):
+                raise _Failure(MotionStatus.HOME_BLOCKED, f"with the object at the {where} the home collides")
+
+    def _transition(self, index: int, state: _State) -> tuple[_State, list[Segment]]:
+        handlings = [
+            _Handling(self, index, candidate) for candidate in self._candidates(self.plan.transitions[index], state)
+        ]
+        for iterations in (0, max(1, self.options.iterations // BRIEF), self.options.iterations):
+            for handling in handlings:
+                found = handling.segments(state, iterations)
+                if found is not None:
+                    last = found[-1]
+                    return _State(last.trajectory.positions[-1], last.jaw[1]), found
+        raise _Failure(
+            MotionStatus.NO_MOTION, f"none of the {len(handlings)} grasps tried for transition {index} admits a motion"
+        )
+
+    def _candidates(self, transition: Transition, state: _State) -> list[_Candidate]:
+        """Return the shared grasps, whole turns added so that they are near, by how long straight moves would take."""
+        robot, found = self.plan.problem.workcell.robot, list[tuple[float, _Candidate]]()
+        for k, grasp_id in enumerate(transition.grasp_ids.tolist()):
+            pick, place = transition.q_pick[k], transition.q_place[k]
+            turned = robot.equivalents(pick)
+            turned = turned[[robot.within_limits(place + q - pick) for q in turned]]
+            moves = np.abs(turned - (turned if state.q is None else state.q)) / self.connector.velocity
+            q = turned[moves.max(axis=1).argmin()]
+            cost = moves.max(axis=1).min() + (np.abs(place - pick) / self.connector.velocity).max()
+            found.append((float(cost), _Candidate(grasp_id, q, place + q - pick)))
+        return [candidate for _, candidate in sorted(found, key=lambda pair: pair[0])][: self.options.candidates]
+
+    def _connected(
+        self, setting: Setting, start: FloatArray, goal: FloatArray, iterations: int
+    ) -> Trajectory | None:
+        found = self.connector.straight(setting, start, goal)
+        if found is None and iterations > 0:
+            found = self.connector.around(setting, start, goal, self.rng, iterations)
+        return found
+
+
+class _Handling:
+    """One candidate's motions. The four straight ones are planned once, when first needed."""
+
+    def __init__(self, planner: _Planner, index: int, candidate: _Candidate) -> None:
+        problem = planner.plan.problem
+        self._planner, self._index, self._candidate = planner, index, candidate
+        self._is_last = index == len(planner.plan.transitions) - 1
+        self._T_pick, self._T_place = planner.plan.poses[index : index + 2]
+        width = float(problem.grasps.width[candidate.grasp_id])
+        self._width, self._open = width, width + 2 * problem.workcell.end_effector.pre_opening
+
+    def segments(self, state: _State, iterations: int) -> list[Segment] | None:
+        """Return all segments of the transition from `state` on, or None if one of them is not found."""
+        if self._lines is None:
+            return None
+        approach, lift, lower, retreat = self._lines
+        planner, candidate = self._planner, self._candidate
+        holding = planner.scene.holding(candidate.grasp_id)
+        transfer = planner._connected(holding, lift.positions[-1], lower.positions[0], iterations)
+        if transfer is None:
+            return None
+        opening = self._open if state.opening is None else state.opening
+        parts = [
+            (Phase.APPROACH, approach, (self._open, self._open)),
+            (Phase.GRASP, _rest(candidate.q_pick), (self._open, self._width)),
+            (Phase.LIFT, lift, (self._width, self._width)),
+            (Phase.TRANSFER, transfer, (self._width, self._width)),
+            (Phase.LOWER, lower, (self._width, self._width)),
+            (Phase.RELEASE, _rest(candidate.q_place), (self._width, self._open)),
+            (Phase.RETREAT, retreat, (self._open, self._open)),
+        ]
+        if state.q is not None:
+            low, high = sorted((opening, self._open))
+            setting = planner.scene.beside(self._T_pick, (low, high))
+            reach = planner._connected(setting, state.q, approach.positions[0], iterations)
+            if reach is None:
+                return None
+            parts.insert(0, (Phase.REACH, reach, (opening, self._open)))
+        if self._is_last and planner.home is not None:
+            setting = planner.scene.beside(self._T_place, (self._open, self._open))
+            homeward = planner._connected(setting, retreat.positions[-1], planner.home, iterations)
+            if homeward is None:
+                return None
+            parts.append((Phase.RETURN, homeward, (self._open, self._open)))
+        return [Segment(phase, self._index, candidate.grasp_id, path, jaw) for phase, path, jaw in parts]
+
+    @cached_property
+    def _lines(self) -> tuple[Trajectory, ...] | None:
+        """Approach, lift, lowering and retreat, or None if one of them is not possible."""
+        found = []
+        for make in (self._lift, self._lower, self._approach, self._retreat):
+            trajectory = make()
+            if trajectory is None:
+                return None
+            found.append(trajectory)
+        lift, lower, approach, retreat = found
+        return approach, lift, lower, retreat
+
+    def _lift(self) -> Trajectory | None:
+        return self._up(self._candidate.q_pick, self._T_pick)
+
+    def _lower(self) -> Trajectory | None:
+        return _backwards(self._up(self._candidate.q_place, self._T_place))
+
+    def _approach(self) -> Trajectory | None:
+        return _backwards(self._back(self._candidate.q_pick, self._T_pick))
+
+    def _retreat(self) -> Trajectory | None:
+        return self._back(self._candidate.q_place, self._T_place)
+
+    def _up(self, q: FloatArray, T_world_object: FloatArray) -> Trajectory | None:
+        """Return the straight lift by the object's resting pose (4, 4)."""
+        planner = self._planner
+        setting = planner.scene.lifting(self._candidate.grasp_id, T_world_object)
+        up: FloatArray = planner.plan.problem.workcell.T_base_world[:3, 2]
+        return planner.connector.away(setting, q, up)
+
+    def _back(self, q: FloatArray, T_world_object: FloatArray) -> Trajectory | None:
+        """Return the straight retreat of the open jaw from the object at (4, 4), along the tool's axis."""
+        planner = self._planner
+        setting = planner.scene.beside(T_world_object, (self._open, self._open))
+        axis: FloatArray = planner.plan.problem.workcell.robot.forward(q)[:3, 2]
+        return planner.connector.away(setting, q, -axis)
+
+
+def _rest(q: FloatArray) -> Trajectory:
+    return Trajectory(np.array([0.0, JAW_TIME]), np.array([q, q]), np.zeros((2, len(q))))
+
+
+def _backwards(trajectory: Trajectory | None) -> Trajectory | None:
+    return None if trajectory is None else trajectory.reversed()

@@ -1,0 +1,142 @@
+"""RRT-Connect: a collision-free polyline between two configurations where the straight line collides.
+
+Two trees grow towards each other from both ends (Kuffner and LaValle, 2000); the polyline is then shortened by random
+cuts. Distances are bounds on how far any point moves [m], so a step is as long for the shoulder as for the wrist.
+Edges are sampled; the proof of the final trajectory is another module's.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from regrasp_opt.conventions import FloatArray
+from regrasp_opt.motion.scene import LEVELS, Setting
+
+STEP = 0.25
+"""Longest step of a tree: how far any point may move [m]."""
+
+SPACING = 0.02
+"""Motion between samples of an edge [m]."""
+
+MARGIN_LEVEL = 2
+"""Level whose distances the samples keep, where the ends do."""
+
+_MARGIN = 1.2
+"""How far beyond the two ends joints are drawn [rad, m]."""
+
+
+def polyline(
+    setting: Setting,
+    start: FloatArray,
+    goal: FloatArray,
+    limits: tuple[FloatArray, FloatArray],
+    rng: np.random.Generator,
+    *,
+    iterations: int,
+) -> FloatArray | None:
+    """Return the corners (C, dof) of a polyline from `start` to `goal` (dof,), or None after `iterations`.
+
+    Parameters
+    ----------
+    limits : two (dof,) arrays
+        Lower and upper joint limits.
+    """
+    level = MARGIN_LEVEL if all(setting.passes(q, MARGIN_LEVEL) for q in (start, goal)) else len(LEVELS) - 1
+    edges = _Edges(setting, level)
+    if edges.free(start, goal):
+        return np.array([start, goal])
+    low = np.maximum(limits[0], np.minimum(start, goal) - _MARGIN)
+    high = np.minimum(limits[1], np.maximum(start, goal) + _MARGIN)
+    trees = [_Tree(start, setting.reach), _Tree(goal, setting.reach)]
+    for i in range(iterations):
+        growing, other = trees[i % 2], trees[1 - i % 2]
+        fresh = edges.extend(growing, rng.uniform(low, high))
+        if fresh is None:
+            continue
+        met = edges.connect(other, growing.nodes[fresh])
+        if met is None:
+            continue
+        halves = growing.branch(fresh), other.branch(met)
+        first, second = halves if i % 2 == 0 else halves[::-1]
+        return _shortened(np.array([*first[::-1], *second[1:]]), edges, rng)
+    return None
+
+
+class _Tree:
+    """Configurations with the number of the one before each; the root has -1."""
+
+    def __init__(self, root: FloatArray, reach: FloatArray) -> None:
+        self.nodes: list[FloatArray] = [root]
+        self._parents = [-1]
+        self._reach = reach
+
+    def nearest(self, q: FloatArray) -> int:
+        return int((np.abs(np.array(self.nodes) - q) @ self._reach).argmin())
+
+    def add(self, q: FloatArray, parent: int) -> int:
+        self.nodes.append(q)
+        self._parents.append(parent)
+        return len(self.nodes) - 1
+
+    def branch(self, node: int) -> list[FloatArray]:
+        """Return the configurations from `node` back to the root."""
+        found = []
+        while node >= 0:
+            found.append(self.nodes[node])
+            node = self._parents[node]
+        return found
+
+
+class _Edges:
+    def __init__(self, setting: Setting, level: int) -> None:
+        self._setting, self._level = setting, level
+
+    def free(self, a: FloatArray, b: FloatArray) -> bool:
+        """Return whether samples between `a` and `b` (dof,), both ends left out, are free of collision."""
+        count = int(np.ceil(float(self._setting.travel(b - a)) / SPACING))
+        parts = np.arange(1, count) / max(count, 1)
+        order = np.argsort(np.abs(parts - 0.5), kind="stable")  # collisions are likelier away from the free ends
+        return all(self._setting.passes(a + u * (b - a), self._level) for u in parts[order].tolist())
+
+    def extend(self, tree: _Tree, target: FloatArray) -> int | None:
+        """Grow `tree` by one step towards `target`; return the new node, or None if it is blocked."""
+        near = tree.nearest(target)
+        q = tree.nodes[near]
+        distance = float(self._setting.travel(target - q))
+        fresh = target if distance <= STEP else q + (target - q) * (STEP / distance)
+        if not self._setting.passes(fresh, self._level) or not self.free(q, fresh):
+            return None
+        return tree.add(fresh, near)
+
+    def connect(self, tree: _Tree, target: FloatArray) -> int | None:
+        """Grow `tree` towards `target` until it is reached; return its node there, or None if it is blocked."""
+        while True:
+            node = self.extend(tree, target)
+            if node is None or tree.nodes[node] is target:
+                return node
+
+
+def _shortened(corners: FloatArray, edges: _Edges, rng: np.random.Generator, attempts: int = 40) -> FloatArray:
+    """Return `corners` (C, dof) after random cuts between points of the polyline."""
+    for _ in range(attempts):
+        if len(corners) <= 2:
+            break
+        i, j = np.sort(rng.integers(0, len(corners) - 1, 2))
+        if i == j:
+            continue
+        a, b = (corners[k] + u * (corners[k + 1] - corners[k]) for k, u in zip((i, j), rng.uniform(size=2), strict=True))
+        if edges.free(a, b):
+            corners = np.concatenate([corners[: i + 1], [a, b], corners[j + 1 :]])
+            corners = _without_idle(corners, edges)
+    return corners
+
+
+def _without_idle(corners: FloatArray, edges: _Edges) -> FloatArray:
+    """Return `corners` without those that can be skipped."""
+    k = 1
+    while k < len(corners) - 1:
+        if edges.free(corners[k - 1], corners[k + 1]):
+            corners = np.delete(corners, k, axis=0)
+        else:
+            k += 1
+    return corners
