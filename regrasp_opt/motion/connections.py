@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,7 @@ from regrasp_opt.motion.options import MotionOptions
 from regrasp_opt.motion.proof import prove
 from regrasp_opt.motion.sampling import polyline
 from regrasp_opt.motion.scene import Setting
-from regrasp_opt.motion.timing import fastest, rest_to_rest, rounded, through
+from regrasp_opt.motion.timing import LINE_GRID, PATH_GRID, fastest, rest_to_rest, rounded, through
 from regrasp_opt.motion.trajectory import Trajectory, joined
 from regrasp_opt.robots import Robot
 
@@ -48,7 +49,7 @@ class Connector:
             waypoints = line(self.robot, q, direction, length)
             if waypoints is None:
                 continue
-            trajectory = fastest(through(waypoints), self.velocity, self.acceleration)
+            trajectory = fastest(through(waypoints), self.velocity, self.acceleration, LINE_GRID)
             if self.accepted(setting, trajectory):
                 return trajectory
         return None
@@ -67,10 +68,10 @@ class Connector:
         if corners is None:
             return None
         for spacing in ROUNDING:
-            trajectory = fastest(rounded(corners, spacing), self.velocity, self.acceleration)
+            trajectory = fastest(rounded(corners, spacing), self.velocity, self.acceleration, PATH_GRID)
             if self.accepted(setting, trajectory):
                 return trajectory
-        legs = [rest_to_rest(a, b, self.velocity, self.acceleration) for a, b in zip(corners, corners[1:], strict=False)]
+        legs = [rest_to_rest(a, b, self.velocity, self.acceleration) for a, b in itertools.pairwise(corners)]
         trajectory = joined(legs)
         return trajectory if self.accepted(setting, trajectory) else None
 

@@ -2,16 +2,16 @@
 
 For each transition the shared grasps are tried in the order of how far the arm would have to move. A grasp is taken
 when all seven of its motions, and the way to its approach, were proved. Straight motions are tried first for all
-grasps; only then does the sampling planner look for ways around, at first briefly, then for longer.
+grasps of a group; only then does the sampling planner look for ways around, at first briefly, and for longer once all
+groups have failed.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -24,8 +24,11 @@ from regrasp_opt.motion.trajectory import Trajectory
 from regrasp_opt.planning import RegraspPlan, RegraspProblem, Transition, solve_sequence
 from regrasp_opt.threads import one_blas_thread
 
+GROUP = 4
+"""Grasps that are tried with straight motions before the sampling planner is tried on them."""
+
 BRIEF = 8
-"""The share of the sampling planner's steps that is spent on each grasp in its first round is one in this many."""
+"""One in so many of the sampling planner's steps is spent on each grasp at first."""
 
 
 def plan_motion(plan: RegraspPlan, options: MotionOptions | None = None) -> MotionPlan:
@@ -109,12 +112,14 @@ class _Planner:
                 raise _Failure(MotionStatus.HOME_BLOCKED, f"with the object at the {where} the home collides")
 
     def _transition(self, index: int, state: _State) -> tuple[_State, list[Segment]]:
-        handlings = [
-            _Handling(self, index, candidate) for candidate in self._candidates(self.plan.transitions[index], state)
-        ]
-        for iterations in (0, max(1, self.options.iterations // BRIEF), self.options.iterations):
-            for handling in handlings:
-                found = handling.segments(state, iterations)
+        candidates = self._candidates(self.plan.transitions[index], state)
+        handlings = [_Handling(self, index, candidate, state) for candidate in candidates]
+        brief, full = max(1, self.options.iterations // BRIEF), self.options.iterations
+        groups = [handlings[k : k + GROUP] for k in range(0, len(handlings), GROUP)]
+        rounds = [(group, iterations) for group in groups for iterations in (0, brief)] + [(handlings, full)]
+        for group, iterations in rounds:
+            for handling in group:
+                found = handling.segments(iterations)
                 if found is not None:
                     last = found[-1]
                     return _State(last.trajectory.positions[-1], last.jaw[1]), found
@@ -135,60 +140,72 @@ class _Planner:
             found.append((float(cost), _Candidate(grasp_id, q, place + q - pick)))
         return [candidate for _, candidate in sorted(found, key=lambda pair: pair[0])][: self.options.candidates]
 
-    def _connected(
-        self, setting: Setting, start: FloatArray, goal: FloatArray, iterations: int
-    ) -> Trajectory | None:
-        found = self.connector.straight(setting, start, goal)
-        if found is None and iterations > 0:
-            found = self.connector.around(setting, start, goal, self.rng, iterations)
-        return found
-
 
 class _Handling:
-    """One candidate's motions. The four straight ones are planned once, when first needed."""
+    """One candidate's motions from a state on; what was found or refuted is remembered from round to round."""
 
-    def __init__(self, planner: _Planner, index: int, candidate: _Candidate) -> None:
+    def __init__(self, planner: _Planner, index: int, candidate: _Candidate, state: _State) -> None:
         problem = planner.plan.problem
-        self._planner, self._index, self._candidate = planner, index, candidate
-        self._is_last = index == len(planner.plan.transitions) - 1
+        self._planner, self._index, self._candidate, self._state = planner, index, candidate, state
         self._T_pick, self._T_place = planner.plan.poses[index : index + 2]
         width = float(problem.grasps.width[candidate.grasp_id])
         self._width, self._open = width, width + 2 * problem.workcell.end_effector.pre_opening
+        self._homeward = planner.home if index == len(planner.plan.transitions) - 1 else None
+        self._connections: dict[Phase, Trajectory] = {}
+        self._bent: set[Phase] = set()
 
-    def segments(self, state: _State, iterations: int) -> list[Segment] | None:
-        """Return all segments of the transition from `state` on, or None if one of them is not found."""
+    def segments(self, iterations: int) -> list[Segment] | None:
+        """Return all segments of the transition, or None if one of them is not found.
+
+        With no `iterations` of the sampling planner the three motions in joint space must be straight.
+        """
         if self._lines is None:
             return None
         approach, lift, lower, retreat = self._lines
-        planner, candidate = self._planner, self._candidate
-        holding = planner.scene.holding(candidate.grasp_id)
-        transfer = planner._connected(holding, lift.positions[-1], lower.positions[0], iterations)
+        start, wide, narrow = self._state, (self._open, self._open), (self._width, self._width)
+        opening = self._open if start.opening is None else start.opening
+        scene, candidate = self._planner.scene, self._candidate
+        holding = partial(scene.holding, candidate.grasp_id)
+        transfer = self._connected(Phase.TRANSFER, holding, lift.positions[-1], lower.positions[0], iterations)
         if transfer is None:
             return None
-        opening = self._open if state.opening is None else state.opening
         parts = [
-            (Phase.APPROACH, approach, (self._open, self._open)),
+            (Phase.APPROACH, approach, wide),
             (Phase.GRASP, _rest(candidate.q_pick), (self._open, self._width)),
-            (Phase.LIFT, lift, (self._width, self._width)),
-            (Phase.TRANSFER, transfer, (self._width, self._width)),
-            (Phase.LOWER, lower, (self._width, self._width)),
+            (Phase.LIFT, lift, narrow),
+            (Phase.TRANSFER, transfer, narrow),
+            (Phase.LOWER, lower, narrow),
             (Phase.RELEASE, _rest(candidate.q_place), (self._width, self._open)),
-            (Phase.RETREAT, retreat, (self._open, self._open)),
+            (Phase.RETREAT, retreat, wide),
         ]
-        if state.q is not None:
-            low, high = sorted((opening, self._open))
-            setting = planner.scene.beside(self._T_pick, (low, high))
-            reach = planner._connected(setting, state.q, approach.positions[0], iterations)
+        if start.q is not None:
+            beside = partial(scene.beside, self._T_pick, (min(opening, self._open), max(opening, self._open)))
+            reach = self._connected(Phase.REACH, beside, start.q, approach.positions[0], iterations)
             if reach is None:
                 return None
             parts.insert(0, (Phase.REACH, reach, (opening, self._open)))
-        if self._is_last and planner.home is not None:
-            setting = planner.scene.beside(self._T_place, (self._open, self._open))
-            homeward = planner._connected(setting, retreat.positions[-1], planner.home, iterations)
-            if homeward is None:
+        if self._homeward is not None:
+            beside = partial(scene.beside, self._T_place, wide)
+            back = self._connected(Phase.RETURN, beside, retreat.positions[-1], self._homeward, iterations)
+            if back is None:
                 return None
-            parts.append((Phase.RETURN, homeward, (self._open, self._open)))
+            parts.append((Phase.RETURN, back, wide))
         return [Segment(phase, self._index, candidate.grasp_id, path, jaw) for phase, path, jaw in parts]
+
+    def _connected(
+        self, phase: Phase, setting: Callable[[], Setting], start: FloatArray, goal: FloatArray, iterations: int
+    ) -> Trajectory | None:
+        """Return the motion of `phase` between configurations (dof,), straight if possible, or None."""
+        connector, rng = self._planner.connector, self._planner.rng
+        found = self._connections.get(phase)
+        if found is None and phase not in self._bent:
+            self._bent.add(phase)
+            found = connector.straight(setting(), start, goal)
+        if found is None and iterations > 0:
+            found = connector.around(setting(), start, goal, rng, iterations)
+        if found is not None:
+            self._connections[phase] = found
+        return found
 
     @cached_property
     def _lines(self) -> tuple[Trajectory, ...] | None:

@@ -18,6 +18,9 @@ from regrasp_opt.motion.scene import LEVELS, Setting
 from regrasp_opt.motion.trajectory import Trajectory
 
 
+_LAST = len(LEVELS) - 1
+
+
 class Proof(NamedTuple):
     """Whether a trajectory was proved, the time at which that failed [s] (or NaN), and how many tests it took."""
 
@@ -32,74 +35,68 @@ def prove(setting: Setting, trajectory: Trajectory) -> Proof:
 
 
 class _Prover:
+    """Intervals are pairs of path parameters: the number of a cubic piece plus the parameter in [0, 1] on it."""
+
     def __init__(self, setting: Setting, trajectory: Trajectory) -> None:
         self._setting, self._trajectory = setting, trajectory
-        self._known: dict[tuple[int, float, int], bool] = {}
+        self._known: dict[tuple[float, int], bool] = {}
 
     def run(self) -> Proof:
-        times = self._trajectory.times
-        intervals = [interval for piece in range(len(times) - 1) for interval in self._intervals(piece)]
-        for piece, a, b in _spread(intervals):  # far apart first, so that a collision is met soon
-            where = self._violation(piece, a, b)
-            if where is not None:
-                return Proof(False, float(times[piece] + where * (times[piece + 1] - times[piece])), len(self._known))
+        intervals = self._cut()
+        while len(intervals):
+            travel, ends = self._travel(intervals)
+            levels = np.maximum(np.searchsorted(-LEVELS, -travel, side="right") - 1, 0)
+            split = []
+            for n in _spread(len(intervals)):  # far apart first, so that a collision is met soon
+                level = int(levels[n])
+                if all(self._passes(s, q, level) for s, q in zip(intervals[n], ends[n], strict=True)):
+                    continue
+                for s, q in zip(intervals[n], ends[n], strict=True):
+                    if level == _LAST or not self._passes(s, q, _LAST):
+                        return Proof(False, self._time(s), len(self._known))
+                split.append(n)
+            halves = intervals[split]
+            middle = halves.mean(axis=1)
+            intervals = np.concatenate(
+                [np.column_stack([halves[:, 0], middle]), np.column_stack([middle, halves[:, 1]])]
+            )
         return Proof(True, float("nan"), len(self._known))
 
-    def _intervals(self, piece: int) -> list[tuple[int, float, float]]:
-        """Return a `piece` cut into intervals (piece, u_a, u_b) over which nothing moves farther than the first level."""
-        count = max(1, int(np.ceil(self._travel(piece, 0.0, 1.0) / LEVELS[0])))
-        edges = np.linspace(0.0, 1.0, count + 1).tolist()
-        return [(piece, a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    def _cut(self) -> FloatArray:
+        """Return intervals (I, 2) that cover the trajectory, over none of which anything moves beyond the first level."""
+        pieces = np.arange(len(self._trajectory.times) - 1, dtype=np.float64)
+        travel, _ = self._travel(np.column_stack([pieces, pieces + 1]))
+        counts = np.maximum(np.ceil(travel / LEVELS[0] * (1 + 1e-9)), 1).astype(int)
+        edges = [np.linspace(k, k + 1, n, endpoint=False) for k, n in zip(pieces, counts, strict=True)]
+        points = np.concatenate([*edges, pieces[-1:] + 1])
+        return np.column_stack([points[:-1], points[1:]])
 
-    def _travel(self, piece: int, a: float, b: float) -> float:
-        """Return a bound on how far any point moves on a `piece` between its parameters `a` and `b` [m]."""
-        ends, slopes = self._at(piece, a, b)
-        handles = slopes * (b - a) / 3
-        inner = ends[1] - handles[1] - ends[0] - handles[0]
-        return float(self._setting.travel(np.abs(handles).sum(axis=0) + np.abs(inner)))
-
-    def _at(self, piece: int, *u: float) -> tuple[FloatArray, FloatArray]:
-        """Return positions and derivatives (len(u), dof) by the parameter of a `piece` at `u`."""
+    def _travel(self, intervals: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return bounds (I,) on how far any point moves over `intervals` (I, 2) [m], and both ends (I, 2, dof)."""
+        piece = np.minimum(intervals[:, 0].astype(int), len(self._trajectory.times) - 2)
         c0, c1, c2, c3 = self._trajectory.coefficients[:, piece]
-        x = np.array(u)[:, None]
-        return c0 + x * (c1 + x * (c2 + x * c3)), c1 + x * (2 * c2 + 3 * x * c3)
+        a, b = (intervals - piece[:, None]).T[:, :, None]
+        h = b - a
+        d0, d1 = c0 + a * (c1 + a * (c2 + a * c3)), h * (c1 + a * (2 * c2 + 3 * a * c3))
+        d2, d3 = h**2 * (c2 + 3 * a * c3), h**3 * c3
+        polygon = (np.abs(d1) + np.abs(d1 + d2) + np.abs(d1 + 2 * d2 + 3 * d3)) / 3
+        return self._setting.travel(polygon), np.stack([d0, d0 + d1 + d2 + d3], axis=1)
 
-    def _violation(self, piece: int, a: float, b: float) -> float | None:
-        """Return the parameter in [a, b] at which the proof of a `piece` fails, or None."""
-        travel = self._travel(piece, a, b)
-        if travel > LEVELS[0] * (1 + 1e-9):
-            level = -1
-        else:
-            level = int(np.searchsorted(-LEVELS, -travel, side="right")) - 1
-            level = min(max(level, 0), len(LEVELS) - 1)
-            if self._passes(piece, a, level) and self._passes(piece, b, level):
-                return None
-        for u in (a, b):
-            if not self._passes(piece, u, len(LEVELS) - 1):
-                return u
-        if level == len(LEVELS) - 1:
-            return (a + b) / 2
-        middle = (a + b) / 2
-        where = self._violation(piece, a, middle)
-        return self._violation(piece, middle, b) if where is None else where
-
-    def _passes(self, piece: int, u: float, level: int) -> bool:
-        if u == 1.0 and piece + 2 < len(self._trajectory.times):
-            piece, u = piece + 1, 0.0
-        key = piece, u, level
+    def _passes(self, s: float, q: FloatArray, level: int) -> bool:
+        key = float(s), level
         if key not in self._known:
-            self._known[key] = self._setting.passes(self._at(piece, u)[0][0], level)
+            self._known[key] = self._setting.passes(q, level)
         return self._known[key]
 
+    def _time(self, s: float) -> float:
+        return float(np.interp(s, np.arange(len(self._trajectory.times)), self._trajectory.times))
 
-def _spread(items: list[tuple[int, float, float]]) -> list[tuple[int, float, float]]:
-    """Return `items` in an order in which each next one is far from those before it."""
-    order: list[int] = []
-    stride = 1 << max(len(items) - 1, 0).bit_length()
-    seen = np.zeros(len(items), dtype=bool)
-    while stride:
-        fresh = [i for i in range(0, len(items), stride) if not seen[i]]
-        seen[fresh] = True
-        order += fresh
+
+def _spread(count: int) -> list[int]:
+    """Return the numbers below `count` in an order in which each next one is far from those before it."""
+    order = [0]
+    stride = 1 << count.bit_length()
+    while stride > 1:
+        order += range(stride // 2, count, stride)
         stride //= 2
-    return [items[i] for i in order]
+    return order[:count]

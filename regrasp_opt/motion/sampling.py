@@ -18,7 +18,10 @@ STEP = 0.25
 SPACING = 0.02
 """Motion between samples of an edge [m]."""
 
-MARGIN_LEVEL = 2
+SHORTEST = 2
+"""Samples by which a step that meets an obstacle must advance to count."""
+
+MARGIN_LEVEL = 4
 """Level whose distances the samples keep, where the ends do."""
 
 _MARGIN = 1.2
@@ -50,11 +53,11 @@ def polyline(
     trees = [_Tree(start, setting.reach), _Tree(goal, setting.reach)]
     for i in range(iterations):
         growing, other = trees[i % 2], trees[1 - i % 2]
-        fresh = edges.extend(growing, rng.uniform(low, high))
+        fresh = edges.grow(growing, rng.uniform(low, high), STEP)
         if fresh is None:
             continue
-        met = edges.connect(other, growing.nodes[fresh])
-        if met is None:
+        met = edges.grow(other, growing.nodes[fresh], np.inf)
+        if met is None or not np.array_equal(other.nodes[met], growing.nodes[fresh]):
             continue
         halves = growing.branch(fresh), other.branch(met)
         first, second = halves if i % 2 == 0 else halves[::-1]
@@ -98,22 +101,22 @@ class _Edges:
         order = np.argsort(np.abs(parts - 0.5), kind="stable")  # collisions are likelier away from the free ends
         return all(self._setting.passes(a + u * (b - a), self._level) for u in parts[order].tolist())
 
-    def extend(self, tree: _Tree, target: FloatArray) -> int | None:
-        """Grow `tree` by one step towards `target`; return the new node, or None if it is blocked."""
-        near = tree.nearest(target)
-        q = tree.nodes[near]
-        distance = float(self._setting.travel(target - q))
-        fresh = target if distance <= STEP else q + (target - q) * (STEP / distance)
-        if not self._setting.passes(fresh, self._level) or not self.free(q, fresh):
-            return None
-        return tree.add(fresh, near)
+    def grow(self, tree: _Tree, target: FloatArray, longest: float) -> int | None:
+        """Grow `tree` towards `target` (dof,) while that is free, nothing moving farther than `longest` [m].
 
-    def connect(self, tree: _Tree, target: FloatArray) -> int | None:
-        """Grow `tree` towards `target` until it is reached; return its node there, or None if it is blocked."""
-        while True:
-            node = self.extend(tree, target)
-            if node is None or tree.nodes[node] is target:
-                return node
+        Returns the new node, or None if nothing was gained.
+        """
+        near = tree.nearest(target)
+        change = target - tree.nodes[near]
+        distance = float(self._setting.travel(change))
+        count = int(np.ceil(distance / SPACING))
+        steps = count if distance <= longest else int(longest / SPACING)
+        free = 0
+        while free < steps and self._setting.passes(tree.nodes[near] + change * ((free + 1) / count), self._level):
+            free += 1
+        if free < min(steps, SHORTEST):
+            return None
+        return tree.add(target if free == count else tree.nodes[near] + change * (free / count), near)
 
 
 def _shortened(corners: FloatArray, edges: _Edges, rng: np.random.Generator, attempts: int = 40) -> FloatArray:

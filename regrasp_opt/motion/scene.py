@@ -21,8 +21,8 @@ from regrasp_opt.conventions import FloatArray, invert
 from regrasp_opt.feasibility.geometry import mesh_geometry, shape_geometry
 from regrasp_opt.planning import RegraspProblem
 
-LEVELS = 0.008 / 2.0 ** np.arange(8)
-"""Motion between two samples [m] that each level of a setting allows for: 8 mm down to 0.06 mm."""
+LEVELS = 0.032 / 2.0 ** np.arange(10)
+"""Motion between two samples [m] that each level of a setting allows for: 32 mm down to 0.06 mm."""
 
 FLOOR = 0.5
 """Share of a clearance that is left between samples at least; at the samples all of it is."""

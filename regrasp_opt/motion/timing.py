@@ -19,8 +19,11 @@ from scipy.sparse import coo_array
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.motion.trajectory import Trajectory
 
-GRID = 40
-"""Intervals of the timing grid."""
+LINE_GRID = 24
+"""Intervals of the timing grid along a straight line of the tool."""
+
+PATH_GRID = 40
+"""Intervals of the timing grid along a path with corners."""
 
 
 def through(waypoints: FloatArray) -> CubicSpline:
@@ -63,18 +66,21 @@ def rest_to_rest(start: FloatArray, end: FloatArray, velocity: FloatArray, accel
     return Trajectory(times[keep], positions, speeds * change).within(velocity, acceleration)
 
 
-def fastest(path: BSpline | CubicSpline, velocity: FloatArray, acceleration: FloatArray) -> Trajectory:
-    """Return the fastest motion from rest to rest along `path` over s in [0, 1], within limits (dof,)."""
-    s = np.linspace(0.0, 1.0, GRID + 1)
+def fastest(path: BSpline | CubicSpline, velocity: FloatArray, acceleration: FloatArray, grid: int) -> Trajectory:
+    """Return the fastest motion from rest to rest along `path` over s in [0, 1], within limits (dof,).
+
+    It has `grid` + 1 knots, evenly spaced over s.
+    """
+    s = np.linspace(0.0, 1.0, grid + 1)
     slope, bend = path(s, 1), path(s, 2)
     x = _path_speeds(slope, bend, velocity, acceleration)
     root = np.sqrt(x)
-    times = np.concatenate([[0.0], np.cumsum(2 / GRID / (root[1:] + root[:-1]))])
+    times = np.concatenate([[0.0], np.cumsum(2 / grid / (root[1:] + root[:-1]))])
     return Trajectory(times, path(s), slope * root[:, None]).within(velocity, acceleration)
 
 
 def _path_speeds(slope: FloatArray, bend: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-    """Return the largest squared path speeds (GRID+1,) at the grid points, zero at both ends."""
+    """Return the largest squared path speeds at the grid points, zero at both ends."""
     count, dof = slope.shape
     with np.errstate(divide="ignore"):
         upper = ((velocity / np.abs(slope)) ** 2).min(axis=1)
