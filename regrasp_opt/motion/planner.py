@@ -21,13 +21,13 @@ from regrasp_opt.motion.options import JAW_TIME, MotionOptions
 from regrasp_opt.motion.plan import MotionPlan, MotionStatus, Phase, Segment
 from regrasp_opt.motion.scene import LEVELS, MotionScene, Setting
 from regrasp_opt.motion.trajectory import Trajectory
-from regrasp_opt.planning import RegraspPlan, RegraspProblem, Transition, solve_sequence
+from regrasp_opt.planning import RegraspPlan
 from regrasp_opt.threads import one_blas_thread
 
 GROUP = 4
 """Grasps that are tried with straight motions before the sampling planner is tried on them."""
 
-BRIEF = 8
+BRIEF = 3
 """One in so many of the sampling planner's steps is spent on each grasp at first."""
 
 
@@ -112,7 +112,7 @@ class _Planner:
                 raise _Failure(MotionStatus.HOME_BLOCKED, f"with the object at the {where} the home collides")
 
     def _transition(self, index: int, state: _State) -> tuple[_State, list[Segment]]:
-        candidates = self._candidates(self.plan.transitions[index], state)
+        candidates = self._candidates(index, state)
         handlings = [_Handling(self, index, candidate, state) for candidate in candidates]
         brief, full = max(1, self.options.iterations // BRIEF), self.options.iterations
         groups = [handlings[k : k + GROUP] for k in range(0, len(handlings), GROUP)]
@@ -127,18 +127,26 @@ class _Planner:
             MotionStatus.NO_MOTION, f"none of the {len(handlings)} grasps tried for transition {index} admits a motion"
         )
 
-    def _candidates(self, transition: Transition, state: _State) -> list[_Candidate]:
+    def _candidates(self, index: int, state: _State) -> list[_Candidate]:
         """Return the shared grasps, whole turns added so that they are near, by how long straight moves would take."""
-        robot, found = self.plan.problem.workcell.robot, list[tuple[float, _Candidate]]()
+        robot, transition = self.plan.problem.workcell.robot, self.plan.transitions[index]
+        homeward = self.home if index == len(self.plan.transitions) - 1 else None
+        found = list[tuple[float, _Candidate]]()
         for k, grasp_id in enumerate(transition.grasp_ids.tolist()):
             pick, place = transition.q_pick[k], transition.q_place[k]
-            turned = robot.equivalents(pick)
-            turned = turned[[robot.within_limits(place + q - pick) for q in turned]]
-            moves = np.abs(turned - (turned if state.q is None else state.q)) / self.connector.velocity
-            q = turned[moves.max(axis=1).argmin()]
-            cost = moves.max(axis=1).min() + (np.abs(place - pick) / self.connector.velocity).max()
-            found.append((float(cost), _Candidate(grasp_id, q, place + q - pick)))
+            turns = robot.equivalents(pick) - pick
+            turns = turns[[robot.within_limits(place + turn) for turn in turns]]
+            cost = np.full(len(turns), self._time(place - pick))
+            cost += 0.0 if state.q is None else self._time(pick + turns - state.q)
+            cost += 0.0 if homeward is None else self._time(place + turns - homeward)
+            best = turns[cost.argmin()]
+            found.append((float(cost.min()), _Candidate(grasp_id, pick + best, place + best)))
         return [candidate for _, candidate in sorted(found, key=lambda pair: pair[0])][: self.options.candidates]
+
+    def _time(self, change: FloatArray) -> FloatArray:
+        """Return how long straight moves by `change` (..., dof) take at full speed (...) [s]."""
+        times: FloatArray = (np.abs(change) / self.connector.velocity).max(axis=-1)
+        return times
 
 
 class _Handling:
