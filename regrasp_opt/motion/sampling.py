@@ -12,11 +12,14 @@ import numpy as np
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.motion.scene import LEVELS, Setting
 
-STEP = 0.25
+STEP = 1.2
 """Longest step of a tree: how far any point may move [m]."""
 
 SPACING = 0.02
 """Motion between samples of an edge [m]."""
+
+CUTS = 20
+"""Random cuts by which a polyline is shortened."""
 
 SHORTEST = 2
 """Samples by which a step that meets an obstacle must advance to count."""
@@ -50,7 +53,7 @@ def polyline(
         return np.array([start, goal])
     low = np.maximum(limits[0], np.minimum(start, goal) - _MARGIN)
     high = np.minimum(limits[1], np.maximum(start, goal) + _MARGIN)
-    trees = [_Tree(start, setting.reach), _Tree(goal, setting.reach)]
+    trees = [_Tree(end, setting.reach, iterations + 1) for end in (start, goal)]
     for i in range(iterations):
         growing, other = trees[i % 2], trees[1 - i % 2]
         fresh = edges.grow(growing, rng.uniform(low, high), STEP)
@@ -68,18 +71,18 @@ def polyline(
 class _Tree:
     """Configurations with the number of the one before each; the root has -1."""
 
-    def __init__(self, root: FloatArray, reach: FloatArray) -> None:
-        self.nodes: list[FloatArray] = [root]
+    def __init__(self, root: FloatArray, reach: FloatArray, size: int) -> None:
+        self.nodes = np.tile(root, (size, 1))
         self._parents = [-1]
         self._reach = reach
 
     def nearest(self, q: FloatArray) -> int:
-        return int((np.abs(np.array(self.nodes) - q) @ self._reach).argmin())
+        return int((np.abs(self.nodes[: len(self._parents)] - q) @ self._reach).argmin())
 
     def add(self, q: FloatArray, parent: int) -> int:
-        self.nodes.append(q)
         self._parents.append(parent)
-        return len(self.nodes) - 1
+        self.nodes[len(self._parents) - 1] = q
+        return len(self._parents) - 1
 
     def branch(self, node: int) -> list[FloatArray]:
         """Return the configurations from `node` back to the root."""
@@ -119,27 +122,24 @@ class _Edges:
         return tree.add(target if free == count else tree.nodes[near] + change * (free / count), near)
 
 
-def _shortened(corners: FloatArray, edges: _Edges, rng: np.random.Generator, attempts: int = 40) -> FloatArray:
+def _shortened(corners: FloatArray, edges: _Edges, rng: np.random.Generator) -> FloatArray:
     """Return `corners` (C, dof) after random cuts between points of the polyline."""
-    for _ in range(attempts):
+    corners = _without_idle(corners, edges)
+    for _ in range(CUTS):
         if len(corners) <= 2:
             break
-        i, j = np.sort(rng.integers(0, len(corners) - 1, 2))
-        if i == j:
-            continue
+        i, j = np.sort(rng.choice(len(corners) - 1, 2, replace=False))
         a, b = (corners[k] + u * (corners[k + 1] - corners[k]) for k, u in zip((i, j), rng.uniform(size=2), strict=True))
         if edges.free(a, b):
             corners = np.concatenate([corners[: i + 1], [a, b], corners[j + 1 :]])
-            corners = _without_idle(corners, edges)
-    return corners
+    return _without_idle(corners, edges)
 
 
 def _without_idle(corners: FloatArray, edges: _Edges) -> FloatArray:
-    """Return `corners` without those that can be skipped."""
-    k = 1
-    while k < len(corners) - 1:
-        if edges.free(corners[k - 1], corners[k + 1]):
-            corners = np.delete(corners, k, axis=0)
-        else:
-            k += 1
-    return corners
+    """Return `corners` without those that can be skipped, as many at once as possible."""
+    kept = [0]
+    while kept[-1] < len(corners) - 1:
+        here = kept[-1]
+        further = range(len(corners) - 1, here + 1, -1)
+        kept.append(next((k for k in further if edges.free(corners[here], corners[k])), here + 1))
+    return corners[kept]
