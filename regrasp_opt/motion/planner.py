@@ -8,8 +8,10 @@ groups have failed.
 
 from __future__ import annotations
 
+import itertools
 import time
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -112,36 +114,59 @@ class _Planner:
                 raise _Failure(MotionStatus.HOME_BLOCKED, f"with the object at the {where} the home collides")
 
     def _transition(self, index: int, state: _State) -> tuple[_State, list[Segment]]:
-        candidates = self._candidates(index, state)
-        handlings = [_Handling(self, index, candidate, state) for candidate in candidates]
         brief, full = max(1, self.options.iterations // BRIEF), self.options.iterations
-        groups = [handlings[k : k + GROUP] for k in range(0, len(handlings), GROUP)]
-        rounds = [(group, iterations) for group in groups for iterations in (0, brief)] + [(handlings, full)]
-        for group, iterations in rounds:
-            for handling in group:
-                found = handling.segments(iterations)
-                if found is not None:
-                    last = found[-1]
-                    return _State(last.trajectory.positions[-1], last.jaw[1]), found
+        blocked = Counter[Phase]()
+        for pairs in (self._planned_pairs, self._all_pairs):
+            candidates = self._nearest(index, state, pairs(index))
+            handlings = [_Handling(self, index, candidate, state) for candidate in candidates]
+            groups = [handlings[k : k + GROUP] for k in range(0, len(handlings), GROUP)]
+            rounds = [(group, iterations) for group in groups for iterations in (0, brief)] + [(handlings, full)]
+            for group, iterations in rounds:
+                for handling in group:
+                    found = handling.segments(iterations)
+                    if found is not None:
+                        last = found[-1]
+                        return _State(last.trajectory.positions[-1], last.jaw[1]), found
+            blocked.update(h.blocked for h in handlings if h.blocked is not None)
+        causes = ", ".join(f"{phase.name.lower()} {count}" for phase, count in blocked.most_common())
         raise _Failure(
-            MotionStatus.NO_MOTION, f"none of the {len(handlings)} grasps tried for transition {index} admits a motion"
+            MotionStatus.NO_MOTION,
+            f"no shared grasp of transition {index} admits a motion: of {blocked.total()} ways to hold the object, so "
+            f"many fail at {causes}",
         )
 
-    def _candidates(self, index: int, state: _State) -> list[_Candidate]:
-        """Return the shared grasps, whole turns added so that they are near, by how long straight moves would take."""
-        robot, transition = self.plan.problem.workcell.robot, self.plan.transitions[index]
+    def _planned_pairs(self, index: int) -> Iterator[_Candidate]:
+        """Yield the shared grasps with the configurations of the plan."""
+        transition = self.plan.transitions[index]
+        for k, grasp_id in enumerate(transition.grasp_ids.tolist()):
+            yield _Candidate(grasp_id, transition.q_pick[k], transition.q_place[k])
+
+    def _all_pairs(self, index: int) -> Iterator[_Candidate]:
+        """Yield the shared grasps with all other feasible configurations at both poses."""
+        transition, checker = self.plan.transitions[index], self.plan.problem.checker
+        ends = [checker.configurations(T, transition.grasp_ids) for T in self.plan.poses[index : index + 2]]
+        for k, (picks, places) in enumerate(zip(*ends, strict=True)):
+            for pick, place in itertools.product(picks, places):
+                candidate = _Candidate(int(transition.grasp_ids[k]), pick, place)
+                planned = transition.q_pick[k], transition.q_place[k]
+                if not (_same_arm(pick, planned[0]) and _same_arm(place, planned[1])):
+                    yield candidate
+
+    def _nearest(self, index: int, state: _State, pairs: Iterable[_Candidate]) -> list[_Candidate]:
+        """Return the first of `pairs`, whole turns added, by how long straight moves would take."""
+        robot = self.plan.problem.workcell.robot
         homeward = self.home if index == len(self.plan.transitions) - 1 else None
         found = list[tuple[float, _Candidate]]()
-        for k, grasp_id in enumerate(transition.grasp_ids.tolist()):
-            pick, place = transition.q_pick[k], transition.q_place[k]
-            turns = robot.equivalents(pick) - pick
-            turns = turns[[robot.within_limits(place + turn) for turn in turns]]
-            cost = np.full(len(turns), self._time(place - pick))
-            cost += 0.0 if state.q is None else self._time(pick + turns - state.q)
-            cost += 0.0 if homeward is None else self._time(place + turns - homeward)
+        for pair in pairs:
+            turns = robot.equivalents(pair.q_pick) - pair.q_pick
+            turns = turns[[robot.within_limits(pair.q_place + turn) for turn in turns]]
+            cost = np.full(len(turns), self._time(pair.q_place - pair.q_pick))
+            cost += 0.0 if state.q is None else self._time(pair.q_pick + turns - state.q)
+            cost += 0.0 if homeward is None else self._time(pair.q_place + turns - homeward)
             best = turns[cost.argmin()]
-            found.append((float(cost.min()), _Candidate(grasp_id, pick + best, place + best)))
-        return [candidate for _, candidate in sorted(found, key=lambda pair: pair[0])][: self.options.candidates]
+            turned = _Candidate(pair.grasp_id, pair.q_pick + best, pair.q_place + best)
+            found.append((float(cost.min()), turned))
+        return [candidate for _, candidate in sorted(found, key=lambda each: each[0])][: self.options.candidates]
 
     def _time(self, change: FloatArray) -> FloatArray:
         """Return how long straight moves by `change` (..., dof) take at full speed (...) [s]."""
@@ -161,6 +186,7 @@ class _Handling:
         self._homeward = planner.home if index == len(planner.plan.transitions) - 1 else None
         self._connections: dict[Phase, Trajectory] = {}
         self._bent: set[Phase] = set()
+        self.blocked: Phase | None = None
 
     def segments(self, iterations: int) -> list[Segment] | None:
         """Return all segments of the transition, or None if one of them is not found.
@@ -211,7 +237,9 @@ class _Handling:
             found = connector.straight(setting(), start, goal)
         if found is None and iterations > 0:
             found = connector.around(setting(), start, goal, rng, iterations)
-        if found is not None:
+        if found is None:
+            self.blocked = phase
+        else:
             self._connections[phase] = found
         return found
 
@@ -219,9 +247,15 @@ class _Handling:
     def _lines(self) -> tuple[Trajectory, ...] | None:
         """Approach, lift, lowering and retreat, or None if one of them is not possible."""
         found = []
-        for make in (self._lift, self._lower, self._approach, self._retreat):
+        for phase, make in (
+            (Phase.LIFT, self._lift),
+            (Phase.LOWER, self._lower),
+            (Phase.APPROACH, self._approach),
+            (Phase.RETREAT, self._retreat),
+        ):
             trajectory = make()
             if trajectory is None:
+                self.blocked = phase
                 return None
             found.append(trajectory)
         lift, lower, approach, retreat = found
@@ -256,6 +290,12 @@ class _Handling:
 
 def _rest(q: FloatArray) -> Trajectory:
     return Trajectory(np.array([0.0, JAW_TIME]), np.array([q, q]), np.zeros((2, len(q))))
+
+
+def _same_arm(a: FloatArray, b: FloatArray) -> bool:
+    """Return whether two configurations (dof,) differ by whole turns at most."""
+    turns = (a - b) / (2 * np.pi)
+    return bool(np.abs(turns - np.round(turns)).max() < 1e-6)
 
 
 def _backwards(trajectory: Trajectory | None) -> Trajectory | None:
