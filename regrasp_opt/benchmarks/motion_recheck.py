@@ -8,6 +8,7 @@ Samples are so dense that between two of them no corner of a body moves by more 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -18,7 +19,6 @@ from scipy.interpolate import CubicHermiteSpline
 
 from regrasp_opt.conventions import BoolArray, FloatArray
 from regrasp_opt.motion import MotionPlan, Phase, Segment
-from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.shapes import Box, Cylinder, Shape
 
 STEP = 1e-3
@@ -292,7 +292,7 @@ class _Checker:
         width = float(self.problem.grasps.width[segment.grasp_id])
         a, b = segment.jaw
         count = max(2, int(np.ceil(abs(b - a) / 1e-3)) + 1)
-        clear, touching = [], []
+        clear, touching = list[_Body](), list[_Body]()
         for opening in np.unique(np.linspace(a, b, count)):
             for box in effector.finger:
                 for side in (1.0, -1.0):
@@ -306,7 +306,7 @@ class _Checker:
 
 def _dense(times: FloatArray) -> FloatArray:
     """Return `times` with nine more in each interval."""
-    return np.unique(np.concatenate([np.linspace(a, b, 11) for a, b in zip(times[:-1], times[1:], strict=True)]))
+    return np.unique(np.concatenate([np.linspace(a, b, 11) for a, b in itertools.pairwise(times)]))
 
 
 def _shift(z: float) -> FloatArray:

@@ -7,6 +7,7 @@ from regrasp_opt.motion.joint_search import SearchOptions
 from regrasp_opt.motion.options import MotionOptions
 from regrasp_opt.motion.plan import MotionPlan, MotionStatus, Phase, Segment
 from regrasp_opt.motion.planner import plan_motion
+from regrasp_opt.motion.together import plan_with_motion
 from regrasp_opt.motion.trajectory import Trajectory
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "Segment",
     "Trajectory",
     "plan_motion",
+    "plan_with_motion",
     "refine_plan",
     "solve_with_free_grasps",
 ]

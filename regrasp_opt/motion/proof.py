@@ -17,7 +17,6 @@ from regrasp_opt.conventions import FloatArray
 from regrasp_opt.motion.scene import LEVELS, Setting
 from regrasp_opt.motion.trajectory import Trajectory
 
-
 _LAST = len(LEVELS) - 1
 
 
@@ -63,7 +62,7 @@ class _Prover:
         return Proof(True, float("nan"), len(self._known))
 
     def _cut(self) -> FloatArray:
-        """Return intervals (I, 2) that cover the trajectory, over none of which anything moves beyond the first level."""
+        """Return intervals (I, 2) that cover the trajectory, each short enough for the first level."""
         pieces = np.arange(len(self._trajectory.times) - 1, dtype=np.float64)
         travel, _ = self._travel(np.column_stack([pieces, pieces + 1]))
         counts = np.maximum(np.ceil(travel / LEVELS[0] * (1 + 1e-9)), 1).astype(int)

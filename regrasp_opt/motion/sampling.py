@@ -129,7 +129,9 @@ def _shortened(corners: FloatArray, edges: _Edges, rng: np.random.Generator) -> 
         if len(corners) <= 2:
             break
         i, j = np.sort(rng.choice(len(corners) - 1, 2, replace=False))
-        a, b = (corners[k] + u * (corners[k + 1] - corners[k]) for k, u in zip((i, j), rng.uniform(size=2), strict=True))
+        a, b = (
+            corners[k] + u * (corners[k + 1] - corners[k]) for k, u in zip((i, j), rng.uniform(size=2), strict=True)
+        )
         if edges.free(a, b):
             corners = np.concatenate([corners[: i + 1], [a, b], corners[j + 1 :]])
     return _without_idle(corners, edges)

@@ -70,9 +70,13 @@ class MotionScene:
 
         The arm keeps its clearance from the object; the gripper must not touch it.
         """
-        T_base_object = self._problem.workcell.T_base_world @ T_world_object
-        arrangement = _Arrangement(T_base_object, openings)
+        arrangement = _Arrangement(self._problem.workcell.T_base_world @ T_world_object, openings)
         return Setting(self._tester(self._free, arrangement, "all"), self._free.reach_of(arrangement))
+
+    def closing(self, T_world_object: FloatArray, openings: tuple[float, float]) -> Setting:
+        """Return the setting in which the jaw closes on, or lets go of, the object at (4, 4), and may touch it."""
+        arrangement = _Arrangement(self._problem.workcell.T_base_world @ T_world_object, openings)
+        return Setting(self._tester(self._free, arrangement, "touching"), self._free.reach_of(arrangement))
 
     def holding(self, grasp_id: int) -> Setting:
         """Return the setting with the object in the hand, clear of everything but the gripper and the last link."""
@@ -119,7 +123,7 @@ class MotionScene:
 
 @dataclass(frozen=True, eq=False)
 class _Arrangement:
-    """Where the object is, in the base or in the tip joint (4, 4), and the openings (low, high) that the jaw may have."""
+    """Where the object is, in the base or the tip joint (4, 4), and which openings (low, high) the jaw may have."""
 
     T_parent_object: FloatArray
     openings: tuple[float, float]
@@ -165,8 +169,8 @@ class _Bodies:
             self.geometry.addCollisionPair(pin.CollisionPair(i, j))
         required = np.array([distance for _, _, distance in pairs])
         self.checks = {"all": [self._check(required, size) for size in LEVELS]}
-        if held:
-            self.checks["no table"] = [self._check(required, size, without=len(pairs) - 1) for size in LEVELS]
+        contact = ("no table", 1) if held else ("touching", len(gripper))  # the last pairs of the list
+        self.checks[contact[0]] = [self._check(required, size, without=contact[1]) for size in LEVELS]
         self._robot = robot
 
     def _joint(self, index: int) -> int:
@@ -176,8 +180,8 @@ class _Bodies:
         joint = self.tip_joint if on_tip else _WORLD
         return int(self.geometry.addGeometryObject(pin.GeometryObject(name, joint, pin.SE3(T_parent_shape), geometry)))
 
-    def _check(self, required: FloatArray, size: float, without: int | None = None) -> Any:
-        """Return the collision data of one level: all pairs `required` apart, and enough for motions of `size`."""
+    def _check(self, required: FloatArray, size: float, without: int = 0) -> Any:
+        """Return the collision data of one level: pairs `required` apart, but for the last ones; see `LEVELS`."""
         data = self.geometry.createData()
         margins = np.maximum(required, FLOOR * required + size / 2)
         with warnings.catch_warnings():
@@ -185,8 +189,8 @@ class _Bodies:
             for request, margin in zip(data.collisionRequests, margins, strict=True):
                 request.security_margin = float(margin)
                 request.enable_cached_gjk_guess = False  # answers must not depend on the order of the questions
-        if without is not None:
-            data.deactivateCollisionPair(without)
+        for last in range(1, without + 1):
+            data.deactivateCollisionPair(len(required) - last)
         return data
 
     def arrange(self, arrangement: _Arrangement) -> None:

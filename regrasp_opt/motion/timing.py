@@ -11,6 +11,8 @@ it gives are joined by cubics, and the whole is slowed by the little by which th
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from scipy.interpolate import BSpline, CubicSpline
 from scipy.optimize import linprog
@@ -39,7 +41,7 @@ def rounded(corners: FloatArray, spacing: float) -> BSpline:
     """
     parts = [
         np.linspace(a, b, max(2, int(np.ceil(np.linalg.norm(b - a) / spacing))), endpoint=False)
-        for a, b in zip(corners[:-1], corners[1:], strict=True)
+        for a, b in itertools.pairwise(corners)
     ]
     control = np.concatenate([*parts, corners[-1:]])
     if len(control) < 4:
