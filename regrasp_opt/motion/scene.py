@@ -112,11 +112,11 @@ class MotionScene:
         return _Arrangement(self._held.T_joint_flange @ T_flange_object, (width, width))
 
     def _tester(self, bodies: _Bodies, arrangement: _Arrangement, pairs: str) -> Callable[[FloatArray, int], bool]:
-        model, data, geometry, checks = self._model, self._data, bodies.geometry, bodies.checks[pairs]
+        model, data, checks = self._model, self._data, bodies.checks[pairs]
 
         def passes(q: FloatArray, level: int) -> bool:
             bodies.arrange(arrangement)
-            return not pin.computeCollisions(model, data, geometry, checks[level], q, True)
+            return not pin.computeCollisions(model, data, checks[level], q, True)
 
         return passes
 
@@ -134,7 +134,8 @@ class _Bodies:
 
     def __init__(self, problem: RegraspProblem, *, held: bool) -> None:
         cell, robot, effector = problem.workcell, problem.workcell.robot, problem.workcell.end_effector
-        self._effector = effector
+        self._robot, self._effector = robot, effector
+        self._data: list[pin.GeometryData] = []  # a manager does not keep its data alive
         self.geometry = robot.collision.copy()
         arm = range(self.geometry.ngeoms)
         tip = robot.model.frames[robot.model.getFrameId(robot.tip_frame)]
@@ -171,7 +172,6 @@ class _Bodies:
         self.checks = {"all": [self._check(required, size) for size in LEVELS]}
         contact = ("no table", 1) if held else ("touching", len(gripper))  # the last pairs of the list
         self.checks[contact[0]] = [self._check(required, size, without=contact[1]) for size in LEVELS]
-        self._robot = robot
 
     def _joint(self, index: int) -> int:
         return int(self.geometry.geometryObjects[index].parentJoint)
@@ -181,7 +181,10 @@ class _Bodies:
         return int(self.geometry.addGeometryObject(pin.GeometryObject(name, joint, pin.SE3(T_parent_shape), geometry)))
 
     def _check(self, required: FloatArray, size: float, without: int = 0) -> Any:
-        """Return the collision data of one level: pairs `required` apart, but for the last ones; see `LEVELS`."""
+        """Return the test of one level: pairs `required` apart, but for the last ones; see `LEVELS`.
+
+        Bounding boxes, grown by these distances, are tested before bodies.
+        """
         data = self.geometry.createData()
         margins = np.maximum(required, FLOOR * required + size / 2)
         with warnings.catch_warnings():
@@ -191,7 +194,8 @@ class _Bodies:
                 request.enable_cached_gjk_guess = False  # answers must not depend on the order of the questions
         for last in range(1, without + 1):
             data.deactivateCollisionPair(len(required) - last)
-        return data
+        self._data.append(data)
+        return pin.BroadPhaseManager_NaiveCollisionManager(self._robot.model, self.geometry, data)
 
     def arrange(self, arrangement: _Arrangement) -> None:
         """Put object and fingers where they belong, unless they are there already."""
@@ -204,6 +208,7 @@ class _Bodies:
         swept = self._effector.finger_boxes(low, (high - low) / 2)
         for index, box, shape in zip(self._fingers, self._boxes, swept, strict=True):
             box.halfSide = shape.size / 2
+            box.computeLocalAABB()
             items[index].placement = pin.SE3(self.T_joint_flange @ shape.pose)
 
     def reach_of(self, arrangement: _Arrangement) -> FloatArray:
