@@ -40,19 +40,22 @@ class Trajectory:
         first, last = h * self.velocities[:-1], h * self.velocities[1:]
         return np.stack([self.positions[:-1], first, 3 * step - 2 * first - last, first + last - 2 * step])
 
-    def piece_at(self, piece: int, u: ArrayLike) -> FloatArray:
-        """Return the positions (..., dof) of a `piece` at its parameters `u` (...)."""
-        c0, c1, c2, c3 = self.coefficients[:, piece]
-        u = np.asarray(u, dtype=np.float64)[..., None]
-        return c0 + u * (c1 + u * (c2 + u * c3))
-
     def at(self, t: ArrayLike) -> FloatArray:
         """Return the positions (..., dof) at times `t` (...) [s]; before the start and after the end it rests."""
+        u, _, (c0, c1, c2, c3) = self._local(t)
+        return c0 + u * (c1 + u * (c2 + u * c3))
+
+    def velocity_at(self, t: ArrayLike) -> FloatArray:
+        """Return the velocities (..., dof) at times `t` (...) [s] within the trajectory."""
+        u, h, (_, c1, c2, c3) = self._local(t)
+        return (c1 + u * (2 * c2 + 3 * u * c3)) / h
+
+    def _local(self, t: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return parameter and length (..., 1) and coefficients (4, ..., dof) of the pieces at times `t` (...)."""
         t = np.clip(np.asarray(t, dtype=np.float64), 0.0, self.duration)
         piece = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2)
-        u = ((t - self.times[piece]) / np.diff(self.times)[piece])[..., None]
-        c0, c1, c2, c3 = self.coefficients[:, piece]
-        return c0 + u * (c1 + u * (c2 + u * c3))
+        h = np.diff(self.times)[piece][..., None]
+        return (t - self.times[piece])[..., None] / h, h, self.coefficients[:, piece]
 
     def position_range(self) -> tuple[FloatArray, FloatArray]:
         """Return the least and the greatest position (dof,) of each joint over all times."""
