@@ -225,7 +225,7 @@ def bench(
         typer.Argument(
             metavar="EXPERIMENT",
             help="cost-sweep, one-step, unseen, cross-effector, multi-step, hard-tiers, refiners, ablations, "
-            "embedding, joint or speed.",
+            "embedding, joint, motion or speed.",
         ),
     ],
     quick: Annotated[bool, typer.Option("--quick", help="Minutes instead of the paper's sizes.")] = False,
