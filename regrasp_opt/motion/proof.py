@@ -44,10 +44,13 @@ class _Prover:
         intervals = self._cut()
         while len(intervals):
             travel, ends = self._travel(intervals)
-            levels = np.maximum(np.searchsorted(-LEVELS, -travel, side="right") - 1, 0)
+            levels = np.searchsorted(-LEVELS, -travel, side="right") - 1  # -1 where even the first is too short
             split = []
             for n in _spread(len(intervals)):  # far apart first, so that a collision is met soon
                 level = int(levels[n])
+                if level < 0:
+                    split.append(n)
+                    continue
                 if all(self._passes(s, q, level) for s, q in zip(intervals[n], ends[n], strict=True)):
                     continue
                 for s, q in zip(intervals[n], ends[n], strict=True):
@@ -62,10 +65,10 @@ class _Prover:
         return Proof(True, float("nan"), len(self._known))
 
     def _cut(self) -> FloatArray:
-        """Return intervals (I, 2) that cover the trajectory, each short enough for the first level."""
+        """Return intervals (I, 2) that cover the trajectory, few of them too long for the first level."""
         pieces = np.arange(len(self._trajectory.times) - 1, dtype=np.float64)
         travel, _ = self._travel(np.column_stack([pieces, pieces + 1]))
-        counts = np.maximum(np.ceil(travel / LEVELS[0] * (1 + 1e-9)), 1).astype(int)
+        counts = np.maximum(np.ceil(travel / LEVELS[0]), 1).astype(int)
         edges = [np.linspace(k, k + 1, n, endpoint=False) for k, n in zip(pieces, counts, strict=True)]
         points = np.concatenate([*edges, pieces[-1:] + 1])
         return np.column_stack([points[:-1], points[1:]])

@@ -168,10 +168,10 @@ class _Bodies:
             pairs += [(i, self._object, 0.0) for i in gripper]
         for i, j, _ in pairs:
             self.geometry.addCollisionPair(pin.CollisionPair(i, j))
-        required = np.array([distance for _, _, distance in pairs])
-        self.checks = {"all": [self._check(required, size) for size in LEVELS]}
+        self.required = np.array([distance for _, _, distance in pairs])
+        self.checks = {"all": [self._check(size) for size in LEVELS]}
         contact = ("no table", 1) if held else ("touching", len(gripper))  # the last pairs of the list
-        self.checks[contact[0]] = [self._check(required, size, without=contact[1]) for size in LEVELS]
+        self.checks[contact[0]] = [self._check(size, without=contact[1]) for size in LEVELS]
 
     def _joint(self, index: int) -> int:
         return int(self.geometry.geometryObjects[index].parentJoint)
@@ -180,20 +180,20 @@ class _Bodies:
         joint = self.tip_joint if on_tip else _WORLD
         return int(self.geometry.addGeometryObject(pin.GeometryObject(name, joint, pin.SE3(T_parent_shape), geometry)))
 
-    def _check(self, required: FloatArray, size: float, without: int = 0) -> Any:
-        """Return the test of one level: pairs `required` apart, but for the last ones; see `LEVELS`.
+    def _check(self, size: float, without: int = 0) -> Any:
+        """Return the test of one level, which leaves out the last pairs; see `LEVELS`.
 
         Bounding boxes, grown by these distances, are tested before bodies.
         """
         data = self.geometry.createData()
-        margins = np.maximum(required, FLOOR * required + size / 2)
+        margins = np.maximum(self.required, FLOOR * self.required + size / 2)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)
             for request, margin in zip(data.collisionRequests, margins, strict=True):
                 request.security_margin = float(margin)
                 request.enable_cached_gjk_guess = False  # answers must not depend on the order of the questions
         for last in range(1, without + 1):
-            data.deactivateCollisionPair(len(required) - last)
+            data.deactivateCollisionPair(len(self.required) - last)
         self._data.append(data)
         return pin.BroadPhaseManager_NaiveCollisionManager(self._robot.model, self.geometry, data)
 
