@@ -3,8 +3,8 @@
 The bottle must be put down once on its way to the goal. Direct transcription in CasADi: joint accelerations are
 piecewise constant, the time is free, and the hand ends where it puts the bottle down at planar parameters `xi`, which
 are free as well. The cost is the time plus a weight times `Q_pair` of both moves. A table shows what each weight
-costs in time and buys in grasps that the put-down pose really shares with start and goal: `python
-examples/08_pick_and_place.py`.
+costs in time and buys in grasps that the put-down pose really shares with start and goal:
+`python examples/08_pick_and_place.py`.
 """
 
 from typing import NamedTuple
