@@ -1,7 +1,7 @@
 """What the arm may run into while it moves: with the jaw open beside a resting object, or with the object in its hand.
 
 Distances that must be kept are those of the workcell, the same as in the feasibility checks; what touches by design
-is left out and stated in `Setting`. Every setting can be asked at several `LEVELS`: level k demands what is needed so
+is left out, as each setting says. Every setting can be asked at several `LEVELS`: level k demands what is needed so
 that bodies which move by at most ``LEVELS[k]`` between two samples cannot touch in between (see
 `regrasp_opt.motion.proof`).
 """
