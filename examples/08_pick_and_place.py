@@ -14,7 +14,7 @@ import numpy as np
 
 from regrasp_opt import RegraspPlan, RegraspProblem, solve_sequence
 from regrasp_opt.connectivity import exact_energy
-from regrasp_opt.robots import Robot
+from regrasp_opt.robots.casadi_kinematics import forward_kinematics
 
 STEPS = 30
 """Intervals of the transcription."""
@@ -22,23 +22,13 @@ LIFT = 0.08
 """How far the hand stays above pick and place in the middle half of the motion [m]."""
 ACCELERATION = 5.0
 """Largest joint acceleration [rad/s^2]."""
-WEIGHTS = (0.0, 0.01, 0.1, 0.5)
+WEIGHTS = (0.0, 0.02, 0.2)
 
 
 class Outcome(NamedTuple):
     xi: np.ndarray
     duration: float
     score: float
-
-
-def flange_pose(robot: Robot, q: ca.MX) -> ca.MX:
-    """Return T_base_flange (4, 4) of turning joints at `q` (dof,)."""
-    T, chain = ca.MX.eye(4), robot.chain
-    for i, (placement, axis) in enumerate(zip(chain.placements, chain.axes, strict=True)):
-        K = ca.skew(axis)
-        R = ca.MX.eye(3) + ca.sin(q[i]) * K + (1 - ca.cos(q[i])) * (K @ K)
-        T = T @ placement @ ca.diagcat(R, 1)
-    return T @ chain.tip
 
 
 def object_pose(xi: ca.MX, placement: np.ndarray) -> ca.MX:
@@ -70,8 +60,11 @@ def carry(plan: RegraspPlan, weight: float) -> Outcome:
         opti.subject_to(opti.bounded(-ACCELERATION, a[j, :], ACCELERATION))
     opti.subject_to(opti.bounded(0.2, duration, 10.0))
 
-    joints = ca.MX.sym("q", robot.dof)
-    pose = ca.Function("pose", [joints], [problem.workcell.T_world_base @ flange_pose(robot, joints)])
+    kinematics = forward_kinematics(robot)
+
+    def pose(configuration: ca.MX) -> ca.MX:
+        return problem.workcell.T_world_base @ kinematics(configuration)
+
     opti.subject_to(q[:, 0] == transition.q_pick[best])
     opti.subject_to(v[:, 0] == 0)
     opti.subject_to(v[:, -1] == 0)
@@ -96,7 +89,7 @@ def carry(plan: RegraspPlan, weight: float) -> Outcome:
 
 def main() -> None:
     problem = RegraspProblem.load("bottle", "nova2-w")
-    start, goal = problem.pose(0, -0.25, 0.40, 0.5), problem.pose(1, 0.28, 0.38, 2.1)
+    start, goal = problem.pose(0, 0.30, 0.30, 0.5), problem.pose(2, -0.28, 0.38, 1.0)
     plan = solve_sequence(problem, start, goal)
     print(f"{'weight':>7}{'time [s]':>10}{'Q_pair':>9}{'x [m]':>9}{'y [m]':>9}{'yaw':>7}   shared grasps of each move")
     for weight in WEIGHTS:

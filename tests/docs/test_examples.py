@@ -92,9 +92,9 @@ def test_an_optimal_control_problem_puts_the_object_where_the_next_grasp_is(outp
     table = rows(output("08_pick_and_place.py"), r"^ +([\d.]+) +([\d.]+) +(-?[\d.]+) .*\[ *(\d+) +(\d+)\]$")
     weights, times, scores = (np.array([float(row[k]) for row in table]) for k in range(3))
     shared = np.array([[int(n) for n in row[3:]] for row in table])
-    assert len(table) == 4 and weights[0] == 0
+    assert len(table) == 3 and weights[0] == 0
     assert (scores[1:] < scores[0] - 0.5).all() and (times[1:] < 1.1 * times[0]).all()
-    assert shared[0].min() == 0 and (shared[1:] > 0).all()
+    assert (shared[1:].min(axis=1) > shared[0].min()).all()
 
 
 def test_every_example_has_a_test_and_says_how_to_run_it():
