@@ -172,6 +172,33 @@ def check(
 
 
 @app.command()
+def motion(
+    plan: PlanArgument,
+    out: Annotated[Path | None, typer.Option(help="Save the motion as JSON.")] = None,
+    csv: Annotated[Path | None, typer.Option(help="Save joint positions and velocities over time as CSV.")] = None,
+    step: Annotated[float, typer.Option(help="Seconds between rows of the CSV.")] = 0.01,
+    scene: Annotated[Path | None, typer.Option(help="Folder for the scene as URDF.")] = None,
+    velocity: Annotated[float, typer.Option(help="Share of the joints' speed limits that is used.")] = 1.0,
+    acceleration: Annotated[float, typer.Option(help="Largest joint acceleration [rad/s^2].")] = 5.0,
+    no_home: Annotated[bool, typer.Option("--no-home", help="Neither begin nor end at the robot's home.")] = False,
+    seed: SeedOption = 0,
+    json: Annotated[bool, typer.Option("--json", help="Print a summary as one JSON object.")] = False,
+) -> int:
+    """Plan the arm's motion for a saved plan: joint trajectories, proved free of collision over their whole length.
+
+    Example:
+
+    regrasp-opt motion plan.json --out motion.json --csv motion.csv
+    """
+    from regrasp_opt.cli.motion import run_motion
+    from regrasp_opt.motion import MotionOptions
+
+    home = None if no_home else "robot"
+    options = MotionOptions(home=home, velocity=velocity, acceleration=acceleration, seed=seed)
+    return run_motion(plan, options, out=out, csv=csv, step=step, scene=scene, as_json=json)
+
+
+@app.command()
 def export(
     model: Annotated[
         Path,
@@ -198,7 +225,7 @@ def bench(
         typer.Argument(
             metavar="EXPERIMENT",
             help="cost-sweep, one-step, unseen, cross-effector, multi-step, hard-tiers, refiners, ablations, "
-            "embedding, joint or speed.",
+            "embedding, joint, motion or speed.",
         ),
     ],
     quick: Annotated[bool, typer.Option("--quick", help="Minutes instead of the paper's sizes.")] = False,

@@ -14,6 +14,7 @@ from regrasp_opt.benchmarks.cross_effector import run_cross_effector
 from regrasp_opt.benchmarks.embedding import run_embedding
 from regrasp_opt.benchmarks.hard_tiers import run_hard_tiers
 from regrasp_opt.benchmarks.joint import run_joint
+from regrasp_opt.benchmarks.motion import run_motion
 from regrasp_opt.benchmarks.multi_step import run_multi_step
 from regrasp_opt.benchmarks.one_step import run_one_step, run_unseen
 from regrasp_opt.benchmarks.parallel import dask_cluster
@@ -36,6 +37,7 @@ EXPERIMENTS: dict[str, Callable[[Session], Report]] = {
     "ablations": run_ablations,
     "joint": run_joint,
     "embedding": run_embedding,
+    "motion": run_motion,
 }
 """The experiments by their names on the command line."""
 

@@ -86,9 +86,15 @@ def plan_summary(plan: RegraspPlan) -> dict[str, Any]:
 
 def save_plan(plan: RegraspPlan, path: str | os.PathLike[str]) -> None:
     """Write `plan` to `path`; the file holds the grasps and names the object and workcell it was made for."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(plan_content(plan), allow_nan=False) + "\n", encoding="utf-8")
+
+
+def plan_content(plan: RegraspPlan) -> dict[str, Any]:
+    """Return what the file of `plan` holds."""
     problem = plan.problem
     body, cell = problem.object, problem.workcell
-    content = {
+    return {
         "schema": SCHEMA,
         **plan_summary(plan),
         "placements": plan.placements.tolist(),
@@ -113,14 +119,17 @@ def save_plan(plan: RegraspPlan, path: str | os.PathLike[str]) -> None:
             for T, w in zip(problem.grasps.T_object_tcp, problem.grasps.width, strict=True)
         ],
     }
-    with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def load_plan(path: str | os.PathLike[str]) -> RegraspPlan:
     """Read a plan; see `RegraspPlan.load`."""
-    content = _parse(Path(path))
-    problem = _problem(content, Path(path))
+    return plan_from_content(read_json(Path(path), "plan"), Path(path))
+
+
+def plan_from_content(raw: Any, path: Path) -> RegraspPlan:
+    """Return the plan that `plan_content` gave; `path` is where it was read, for messages."""
+    content = _parse(raw, path)
+    problem = _problem(content, path)
     try:
         poses = np.array([as_pose(T, f"pose {i}") for i, T in enumerate(content.poses)])
     except PoseError as error:
@@ -130,7 +139,7 @@ def load_plan(path: str | os.PathLike[str]) -> RegraspPlan:
         poses=poses,
         placements=np.array(content.placements, dtype=np.int64),
         xi=np.array(content.xi, dtype=np.float64).reshape(-1, 3),
-        transitions=tuple(_transition(t, problem, Path(path)) for t in content.transitions),
+        transitions=tuple(_transition(t, problem, path) for t in content.transitions),
         cost=float("nan") if content.cost is None else content.cost,
         timings=content.timings,
         refiner_stats=content.refiner_stats,
@@ -147,13 +156,23 @@ def _absolute(source: str) -> str:
     return source if source == "built-in" else str(Path(source).resolve())
 
 
-def _parse(path: Path) -> _File:
+def read_json(path: Path, what: str) -> Any:
+    """Return the content of the JSON file `path`; `what` it should hold is named in errors.
+
+    Raises
+    ------
+    PlanFileError
+        If it cannot be read or is not JSON.
+    """
     try:
-        raw = json.loads(path.read_text(encoding="utf-8"))
+        return json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise PlanFileError(f"cannot read the plan '{path}': {error.strerror or error}") from error
+        raise PlanFileError(f"cannot read the {what} '{path}': {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:
-        raise PlanFileError(f"'{path}' is not valid JSON; it may be cut short: save the plan again") from error
+        raise PlanFileError(f"'{path}' is not valid JSON; it may be cut short: save the {what} again") from error
+
+
+def _parse(raw: Any, path: Path) -> _File:
     version = raw.get("schema") if isinstance(raw, dict) else None
     if version != SCHEMA:
         raise PlanFileError(f"'{path}' has plan schema {version!r}; this version reads schema {SCHEMA}")

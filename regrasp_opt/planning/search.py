@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -39,6 +40,7 @@ def solve_sequence(
     seed: int = 0,
     time_limit: float | None = None,
     options: CostOptions | None = None,
+    accept: Callable[[RegraspPlan], bool] | None = None,
 ) -> RegraspPlan:
     """Plan from `start` to `goal` with as few regrasps as possible.
 
@@ -59,6 +61,8 @@ def solve_sequence(
         candidate so far, unproved and without transitions.
     options : CostOptions, optional
         Parameters of ``J_seq``; the paper's by default.
+    accept : callable, optional
+        Is shown each proved plan; where it returns False, the search goes on with the next candidate.
 
     Returns
     -------
@@ -82,7 +86,7 @@ def solve_sequence(
         raise OptionError(f"time_limit is {time_limit}; give a positive number of seconds")
     with one_blas_thread():
         return _solve(
-            problem, start, goal, recipe, int(max_regrasps), seed, _Clock(time_limit), options or CostOptions()
+            problem, start, goal, recipe, int(max_regrasps), seed, _Clock(time_limit), options or CostOptions(), accept
         )
 
 
@@ -95,13 +99,14 @@ def _solve(
     seed: int,
     clock: _Clock,
     options: CostOptions,
+    accept: Callable[[RegraspPlan], bool] | None,
 ) -> RegraspPlan:
     T_start = checked_end(start, "start", problem)
     T_goal = checked_end(goal, "goal", problem)
     with clock.timed("ends"):
         ends = [PoseKnowledge(problem.checker, T) for T in (T_start, T_goal)]
         feasible = [end.all() for end in ends]
-    search = _Search(problem, recipe, ends, options, seed, clock)
+    search = _Search(problem, recipe, ends, options, seed, clock, accept)
     for knowledge, status in zip(feasible, (Status.START_INFEASIBLE, Status.GOAL_INFEASIBLE), strict=True):
         if not knowledge.any():
             return search.result(status)
@@ -148,9 +153,10 @@ class _Search:
         options: CostOptions,
         seed: int,
         clock: _Clock,
+        accept: Callable[[RegraspPlan], bool] | None = None,
     ) -> None:
         self.problem, self.recipe, self.ends, self.clock, self.seed = problem, recipe, ends, clock, seed
-        self.options = options
+        self.options, self.accept = options, accept
         self.stats: list[dict[str, Any]] = []
         self.cheapest: Candidates | None = None
         self.known: dict[bytes, PoseKnowledge] = {}
@@ -159,7 +165,9 @@ class _Search:
         start, goal = self.ends
         if (start.all() & goal.all()).any():
             cost = float(pair_score(exact_energy(start.all()), exact_energy(goal.all()), self.options.alpha))
-            return self.result(Status.SOLVED, cost=cost)
+            plan = self.result(Status.SOLVED, cost=cost)
+            if self._accepted(plan):
+                return plan
         for num_regrasps in range(1, max_regrasps + 1):
             found = self._at_depth(num_regrasps)
             if found is not None:
@@ -205,10 +213,19 @@ class _Search:
                 return None
             with self.clock.timed("verify"):
                 chain = self._prove(objective, candidates, index)
-            if chain is not None:
+            if chain is None:
+                continue
+            plan = self._plan(objective, candidates, index, chain)
+            if self._accepted(plan):
                 entry["accepted"] = index
-                return self._plan(objective, candidates, index, chain)
+                return plan
         return None
+
+    def _accepted(self, plan: RegraspPlan) -> bool:
+        if self.accept is None:
+            return True
+        with self.clock.timed("accept"):
+            return self.accept(plan)
 
     def _by_threshold(
         self, objective: SequenceObjective, candidates: Candidates, entry: dict[str, Any]
@@ -226,8 +243,11 @@ class _Search:
             chain = self._prove(objective, candidates, index)
         if chain is None:
             return self.result(Status.NOT_FOUND)
+        plan = self._plan(objective, candidates, index, chain)
+        if not self._accepted(plan):
+            return self.result(Status.NOT_FOUND)
         entry["accepted"] = index
-        return self._plan(objective, candidates, index, chain)
+        return plan
 
     def _prove(self, objective: SequenceObjective, candidates: Candidates, index: int) -> list[PoseKnowledge] | None:
         xi = candidates.xi[index]

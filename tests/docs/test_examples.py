@@ -5,6 +5,7 @@ import runpy
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -85,6 +86,15 @@ def test_exported_c_finds_what_ipopt_finds(output):
     by_c, by_ipopt = (float(rows(text, rf"^{name}.*J_seq = (-?[\d.]+) at")[0]) for name in ("C", "Ipopt"))
     assert by_c < first
     assert by_c == pytest.approx(by_ipopt, abs=2e-3)
+
+
+def test_an_optimal_control_problem_puts_the_object_where_the_next_grasp_is(output):
+    table = rows(output("08_pick_and_place.py"), r"^ +([\d.]+) +([\d.]+) +(-?[\d.]+) .*\[ *(\d+) +(\d+)\]$")
+    weights, times, scores = (np.array([float(row[k]) for row in table]) for k in range(3))
+    shared = np.array([[int(n) for n in row[3:]] for row in table])
+    assert len(table) == 3 and weights[0] == 0
+    assert (scores[1:] < scores[0] - 0.5).all() and (times[1:] < 1.1 * times[0]).all()
+    assert (shared[1:].min(axis=1) > shared[0].min()).all()
 
 
 def test_every_example_has_a_test_and_says_how_to_run_it():

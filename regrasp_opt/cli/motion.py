@@ -1,0 +1,87 @@
+"""`regrasp-opt motion`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from rich.markup import escape
+from rich.table import Table
+
+from regrasp_opt.cli.output import make_console
+from regrasp_opt.motion import MotionOptions, MotionPlan, plan_motion
+from regrasp_opt.motion.scene_export import save_scene
+from regrasp_opt.planning import RegraspPlan
+
+
+def run_motion(
+    path: Path,
+    options: MotionOptions,
+    *,
+    out: Path | None,
+    csv: Path | None,
+    step: float,
+    scene: Path | None,
+    as_json: bool,
+) -> int:
+    """Plan the motion of a saved plan, write what is asked for, and return 0 if there is one, else 1."""
+    plan = RegraspPlan.load(path)
+    if scene is not None:
+        save_scene(plan, scene)
+    motion = plan_motion(plan, options)
+    if out is not None:
+        motion.save(out)
+    if csv is not None and motion.solved:
+        motion.save_csv(csv, step)
+    if as_json:
+        print(json.dumps(summary(motion)))
+    else:
+        show(motion)
+    return 0 if motion.solved else 1
+
+
+def summary(motion: MotionPlan) -> dict[str, object]:
+    """Return what ``--json`` prints."""
+    return {
+        "status": motion.status.name.lower(),
+        "reason": motion.reason,
+        "duration": motion.duration,
+        "seconds": motion.seconds,
+        "segments": [
+            {
+                "phase": segment.phase.name.lower(),
+                "transition": segment.transition,
+                "grasp_id": segment.grasp_id,
+                "duration": segment.trajectory.duration,
+            }
+            for segment in motion.segments
+        ],
+    }
+
+
+def show(motion: MotionPlan) -> None:
+    """Print the segments, or why there are none."""
+    console = make_console()
+    if not motion.solved:
+        console.print(f"[bold red]{motion.status.name}[/]: {motion.status.value}")
+        console.print(escape(motion.reason), soft_wrap=True)
+        return
+    table = Table(box=None, header_style="bold")
+    for heading in ("move", "grasp", "phase", "from [s]", "takes [s]", "joint travel [rad]", "peak speed"):
+        table.add_column(escape(heading), justify="left" if heading == "phase" else "right")
+    for segment, start in zip(motion.segments, motion.starts.tolist(), strict=True):
+        path = segment.trajectory
+        travel = float(np.abs(np.diff(path.positions, axis=0)).sum(axis=0).max())
+        peak = float((path.peak_velocity() / motion.velocity_limits).max())
+        table.add_row(
+            str(segment.transition),
+            str(segment.grasp_id),
+            segment.phase.name.lower(),
+            f"{start:.2f}",
+            f"{path.duration:.2f}",
+            f"{travel:.2f}",
+            f"{100 * peak:.0f} %",
+        )
+    console.print(table)
+    console.print(f"[bold green]SOLVED[/]: {len(motion.segments)} segments, {motion.duration:.1f} s of motion")

@@ -1,0 +1,168 @@
+"""One way to carry out a transition: a grasp with its two arm configurations, and all motions that belong to it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
+
+import numpy as np
+
+from regrasp_opt.conventions import FK_POSITION_TOLERANCE, FK_ROTATION_TOLERANCE, FloatArray, pose_distance
+from regrasp_opt.motion.connections import Connector
+from regrasp_opt.motion.options import JAW_TIME
+from regrasp_opt.motion.plan import Phase, Segment
+from regrasp_opt.motion.scene import LEVELS, MotionScene, Setting
+from regrasp_opt.motion.trajectory import Trajectory
+from regrasp_opt.planning import RegraspPlan
+
+
+@dataclass(frozen=True, eq=False)
+class Hold:
+    """A shared grasp of one transition, with the configurations (dof,) that hold it at both poses."""
+
+    grasp_id: int
+    q_pick: FloatArray
+    q_place: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Rest:
+    """Where the arm rests (dof,), None if it may begin anywhere, and how wide the jaw is [m], None if that is free."""
+
+    q: FloatArray | None
+    opening: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Tools:
+    """What all motions of a plan are planned with; `home` (dof,) is where the last of them ends, if anywhere."""
+
+    plan: RegraspPlan
+    scene: MotionScene
+    connector: Connector
+    home: FloatArray | None
+    rng: np.random.Generator
+
+
+class Handling:
+    """The motions of one hold from a state on; what was found or refuted is remembered from round to round.
+
+    Attributes
+    ----------
+    blocked : Phase or None
+        What was not found when `segments` last returned None.
+    """
+
+    def __init__(self, tools: Tools, index: int, hold: Hold, start: Rest) -> None:
+        problem = tools.plan.problem
+        self._tools, self._index, self._hold, self._start = tools, index, hold, start
+        self._T_pick, self._T_place = tools.plan.poses[index : index + 2]
+        self._width = float(problem.grasps.width[hold.grasp_id])
+        self._open = self._width + 2 * problem.workcell.end_effector.pre_opening
+        self._homeward = tools.home if index == len(tools.plan.transitions) - 1 else None
+        self._connections: dict[Phase, Trajectory] = {}
+        self._bent: set[Phase] = set()
+        self.blocked: Phase | None = None
+
+    def segments(self, iterations: int) -> list[Segment] | None:
+        """Return all segments of the transition, or None if one of them is not found.
+
+        With no `iterations` of the sampling planner the motions in joint space must be straight.
+        """
+        if self._lines is None:
+            return None
+        approach, lift, lower, retreat = self._lines
+        start, hold, scene = self._start, self._hold, self._tools.scene
+        wide, narrow = (self._open, self._open), (self._width, self._width)
+        opening = self._open if start.opening is None else start.opening
+        holding = partial(scene.holding, hold.grasp_id)
+        transfer = self._connected(Phase.TRANSFER, holding, lift.positions[-1], lower.positions[0], iterations)
+        if transfer is None:
+            return None
+        parts = [
+            (Phase.APPROACH, approach, wide),
+            (Phase.GRASP, _rest(hold.q_pick), (self._open, self._width)),
+            (Phase.LIFT, lift, narrow),
+            (Phase.TRANSFER, transfer, narrow),
+            (Phase.LOWER, lower, narrow),
+            (Phase.RELEASE, _rest(hold.q_place), (self._width, self._open)),
+            (Phase.RETREAT, retreat, wide),
+        ]
+        if start.q is not None:
+            beside = partial(scene.beside, self._T_pick, (min(opening, self._open), max(opening, self._open)))
+            reach = self._connected(Phase.REACH, beside, start.q, approach.positions[0], iterations)
+            if reach is None:
+                return None
+            parts.insert(0, (Phase.REACH, reach, (opening, self._open)))
+        if self._homeward is not None:
+            beside = partial(scene.beside, self._T_place, wide)
+            back = self._connected(Phase.RETURN, beside, retreat.positions[-1], self._homeward, iterations)
+            if back is None:
+                return None
+            parts.append((Phase.RETURN, back, wide))
+        return [Segment(phase, self._index, hold.grasp_id, path, jaw) for phase, path, jaw in parts]
+
+    def _connected(
+        self, phase: Phase, setting: Callable[[], Setting], start: FloatArray, goal: FloatArray, iterations: int
+    ) -> Trajectory | None:
+        """Return the motion of `phase` between configurations (dof,), straight if possible, or None."""
+        connector = self._tools.connector
+        found = self._connections.get(phase)
+        if found is None and phase not in self._bent:
+            self._bent.add(phase)
+            found = connector.straight(setting(), start, goal)
+        if found is None and iterations > 0:
+            found = connector.around(setting(), start, goal, self._tools.rng, iterations)
+        if found is None:
+            self.blocked = phase
+        else:
+            self._connections[phase] = found
+        return found
+
+    @cached_property
+    def _lines(self) -> tuple[Trajectory, Trajectory, Trajectory, Trajectory] | None:
+        """Approach, lift, lowering and retreat, or None if one of them is not possible."""
+        hold, found = self._hold, dict[Phase, Trajectory]()
+        ends = ((Phase.GRASP, hold.q_pick, self._T_pick), (Phase.RELEASE, hold.q_place, self._T_place))
+        for phase, q, T in ends:
+            if not self._grips(q, T):
+                self.blocked = phase
+                return None
+        for phase, make, q, T in (
+            (Phase.LIFT, self._up, hold.q_pick, self._T_pick),
+            (Phase.LOWER, self._up, hold.q_place, self._T_place),
+            (Phase.APPROACH, self._back, hold.q_pick, self._T_pick),
+            (Phase.RETREAT, self._back, hold.q_place, self._T_place),
+        ):
+            trajectory = make(q, T)
+            if trajectory is None:
+                self.blocked = phase
+                return None
+            found[phase] = trajectory
+        return found[Phase.APPROACH].reversed(), found[Phase.LIFT], found[Phase.LOWER].reversed(), found[Phase.RETREAT]
+
+    def _grips(self, q: FloatArray, T_world_object: FloatArray) -> bool:
+        """Return whether the arm at `q` (dof,) holds the grasp, with room for the jaw; plans may come from files."""
+        cell, grasps = self._tools.plan.problem.workcell, self._tools.plan.problem.grasps
+        T_world_tcp = cell.T_world_base @ cell.robot.forward(q) @ cell.end_effector.T_flange_tcp
+        distance, angle = pose_distance(T_world_tcp, T_world_object @ grasps.T_object_tcp[self._hold.grasp_id])
+        if distance > FK_POSITION_TOLERANCE or angle > FK_ROTATION_TOLERANCE:
+            return False
+        return self._tools.scene.closing(T_world_object, (self._width, self._open)).passes(q, len(LEVELS) - 1)
+
+    def _up(self, q: FloatArray, T_world_object: FloatArray) -> Trajectory | None:
+        """Return the straight lift from the object's resting pose (4, 4)."""
+        setting = self._tools.scene.lifting(self._hold.grasp_id, T_world_object)
+        up: FloatArray = self._tools.plan.problem.workcell.T_base_world[:3, 2]
+        return self._tools.connector.away(setting, q, up)
+
+    def _back(self, q: FloatArray, T_world_object: FloatArray) -> Trajectory | None:
+        """Return the straight retreat of the open jaw from the object at (4, 4), along the tool's axis."""
+        setting = self._tools.scene.beside(T_world_object, (self._open, self._open))
+        axis: FloatArray = self._tools.plan.problem.workcell.robot.forward(q)[:3, 2]
+        return self._tools.connector.away(setting, q, -axis)
+
+
+def _rest(q: FloatArray) -> Trajectory:
+    return Trajectory(np.array([0.0, JAW_TIME]), np.array([q, q]), np.zeros((2, len(q))))

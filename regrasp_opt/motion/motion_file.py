@@ -1,0 +1,183 @@
+"""Motions as JSON (docs/motion.md), versioned and read back with every field checked, and as CSV for controllers."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from regrasp_opt.conventions import FloatArray
+from regrasp_opt.errors import OptionError, PlanFileError
+from regrasp_opt.files import atomic_path
+from regrasp_opt.motion.plan import MotionPlan, MotionStatus, Phase, Segment
+from regrasp_opt.motion.trajectory import Trajectory
+from regrasp_opt.planning import RegraspPlan
+from regrasp_opt.planning.plan_file import plan_content, plan_from_content, read_json
+
+SCHEMA = 1
+
+Row = list[float]
+_STATUSES = {status.name.lower(): status for status in MotionStatus}
+_PHASES = {phase.name.lower(): phase for phase in Phase}
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class _Segment(_Record):
+    phase: str
+    transition: Annotated[int, Field(ge=0)]
+    grasp_id: Annotated[int, Field(ge=0)]
+    jaw: Annotated[list[float], Field(min_length=2, max_length=2)]
+    times: Annotated[list[float], Field(min_length=2)]
+    positions: list[Row]
+    velocities: list[Row]
+
+
+class _File(_Record):
+    schema_: int = Field(alias="schema")
+    kind: Literal["motion"]
+    status: str
+    reason: str
+    joint_names: list[str]
+    velocity_limits: Row
+    acceleration_limits: Row
+    seconds: float
+    segments: list[_Segment]
+    plan: dict[str, Any]
+
+
+def motion_content(motion: MotionPlan) -> dict[str, Any]:
+    """Return what the file of `motion` holds."""
+    return {
+        "schema": SCHEMA,
+        "kind": "motion",
+        "status": motion.status.name.lower(),
+        "reason": motion.reason,
+        "joint_names": list(motion.plan.problem.workcell.robot.joint_names),
+        "velocity_limits": motion.velocity_limits.tolist(),
+        "acceleration_limits": motion.acceleration_limits.tolist(),
+        "seconds": motion.seconds,
+        "segments": [
+            {
+                "phase": segment.phase.name.lower(),
+                "transition": segment.transition,
+                "grasp_id": segment.grasp_id,
+                "jaw": list(segment.jaw),
+                "times": segment.trajectory.times.tolist(),
+                "positions": segment.trajectory.positions.tolist(),
+                "velocities": segment.trajectory.velocities.tolist(),
+            }
+            for segment in motion.segments
+        ],
+        "plan": plan_content(motion.plan),
+    }
+
+
+def save_motion(motion: MotionPlan, path: str | os.PathLike[str]) -> None:
+    """Write `motion` with its plan to `path`."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(motion_content(motion), allow_nan=False) + "\n", encoding="utf-8")
+
+
+def load_motion(path: str | os.PathLike[str]) -> MotionPlan:
+    """Read a motion; see `MotionPlan.load`."""
+    path = Path(path)
+    content = _parse(read_json(path, "motion"), path)
+    plan = plan_from_content(content.plan, path)
+    robot = plan.problem.workcell.robot
+    limits = [np.array(row, dtype=np.float64) for row in (content.velocity_limits, content.acceleration_limits)]
+    if tuple(content.joint_names) != robot.joint_names or any(limit.shape != (robot.dof,) for limit in limits):
+        raise PlanFileError(f"'{path}' is a motion of other joints than those of '{robot.name}'; plan the motion again")
+    return MotionPlan(
+        status=_STATUSES[content.status],
+        reason=content.reason,
+        plan=plan,
+        segments=tuple(_segment(record, plan, path) for record in content.segments),
+        velocity_limits=limits[0],
+        acceleration_limits=limits[1],
+        seconds=content.seconds,
+    )
+
+
+def _parse(raw: Any, path: Path) -> _File:
+    version = raw.get("schema") if isinstance(raw, dict) else None
+    if version != SCHEMA or raw.get("kind") != "motion":
+        raise PlanFileError(f"'{path}' is no motion of schema {SCHEMA}; write one with 'regrasp-opt motion'")
+    try:
+        content = _File.model_validate(raw)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise PlanFileError(
+            f"'{path}': the field '{where}' is wrong ({first['msg']}); plan the motion again"
+        ) from error
+    if content.status not in _STATUSES:
+        raise PlanFileError(f"'{path}': unknown status '{content.status}'; known: {', '.join(_STATUSES)}")
+    return content
+
+
+def _segment(record: _Segment, plan: RegraspPlan, path: Path) -> Segment:
+    count, dof = len(record.times), plan.problem.workcell.robot.dof
+    rows = [*record.positions, *record.velocities]
+    if record.phase not in _PHASES:
+        raise PlanFileError(f"'{path}': unknown phase '{record.phase}'; known: {', '.join(_PHASES)}")
+    if {len(record.positions), len(record.velocities)} != {count} or any(len(row) != dof for row in rows):
+        raise PlanFileError(f"'{path}': the rows of a segment do not fit its times; plan the motion again")
+    if record.times[0] != 0 or (np.diff(record.times) <= 0).any():
+        raise PlanFileError(f"'{path}': the times of a segment do not ascend from 0; plan the motion again")
+    if record.transition >= len(plan.transitions) or record.grasp_id >= len(plan.problem.grasps):
+        raise PlanFileError(f"'{path}': a segment names a transition or grasp that is not there; plan the motion again")
+    trajectory = Trajectory(
+        *(np.array(x, dtype=np.float64) for x in (record.times, record.positions, record.velocities))
+    )
+    jaw = (record.jaw[0], record.jaw[1])
+    return Segment(_PHASES[record.phase], record.transition, record.grasp_id, trajectory, jaw)
+
+
+def save_motion_csv(motion: MotionPlan, path: str | os.PathLike[str], step: float) -> None:
+    """Write `motion` as one row for every `step` seconds, and one for its end.
+
+    Columns are ``time`` [s], ``phase``, ``jaw`` [m], the joints' positions under their names and their velocities
+    under ``NAME_velocity``.
+
+    Raises
+    ------
+    OptionError
+        If `step` is not positive.
+    PlanFileError
+        If the motion is not solved.
+    """
+    if not (np.isfinite(step) and step > 0):
+        raise OptionError(f"step is {step}; give a positive number of seconds")
+    if not motion.solved:
+        raise PlanFileError(f"there is no motion to write: {motion.reason}")
+    names = motion.plan.problem.workcell.robot.joint_names
+    times = np.append(np.arange(0.0, motion.duration - step / 2, step), motion.duration)
+    with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["time", "phase", "jaw", *names, *(f"{name}_velocity" for name in names)])
+        for t in times.tolist():
+            segment, q, v, jaw = state_at(motion, t)
+            numbers = [f"{x:.9g}" for x in (jaw, *q, *v)]
+            writer.writerow([f"{t:.9g}", segment.phase.name.lower(), *numbers])
+
+
+def state_at(motion: MotionPlan, t: float) -> tuple[Segment, FloatArray, FloatArray, float]:
+    """Return the segment, joint positions and velocities (dof,) and jaw opening [m] at time `t` [s] of `motion`.
+
+    The jaw moves evenly over a segment.
+    """
+    starts = motion.starts
+    number = int(np.clip(np.searchsorted(starts, t, side="right") - 1, 0, len(starts) - 1))
+    segment = motion.segments[number]
+    local = float(np.clip(t - starts[number], 0.0, segment.trajectory.duration))
+    part = local / segment.trajectory.duration
+    jaw = segment.jaw[0] + part * (segment.jaw[1] - segment.jaw[0])
+    return segment, segment.trajectory.at(local), segment.trajectory.velocity_at(local), jaw

@@ -1,0 +1,106 @@
+"""What can be chosen about motions, checked once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from regrasp_opt.conventions import FloatArray, as_seed
+from regrasp_opt.errors import OptionError
+from regrasp_opt.robots import Robot
+
+ACCELERATION = 5.0
+"""Largest joint acceleration when none is given [rad/s^2, m/s^2]; URDF files do not state one."""
+
+JAW_TIME = 0.5
+"""Time in which the jaw closes or opens while the arm rests [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionOptions:
+    """Options of `plan_motion`.
+
+    Attributes
+    ----------
+    home : (dof,) array_like, "robot" or None
+        Configuration at which the motion begins and ends [rad]: the robot's home by default; with None it begins before
+        the first approach and ends after the last retreat.
+    velocity : float
+        Share of the joints' velocity limits that is used, above 0 and at most 1.
+    acceleration : float or (dof,) array_like
+        Largest joint accelerations [rad/s^2]; for prismatic joints [m/s^2].
+    distances : tuple of float
+        Lengths of the straight approach, lift, lowering and retreat that are tried, in that order [m].
+    candidates : int
+        Shared grasps of a transition that are tried at most.
+    iterations : int
+        Steps of the sampling planner for one connection.
+    seed : int
+        The same seed gives the same motion.
+
+    Raises
+    ------
+    OptionError
+        If a value is out of its range.
+    """
+
+    home: ArrayLike | str | None = "robot"
+    velocity: float = 1.0
+    acceleration: float | ArrayLike = ACCELERATION
+    distances: tuple[float, ...] = (0.10, 0.06, 0.03)
+    candidates: int = 40
+    iterations: int = 400
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.velocity <= 1:
+            raise OptionError(f"velocity is {self.velocity}; give a share above 0 and at most 1")
+        if not self.distances or not all(0.005 <= d <= 1 for d in self.distances):
+            raise OptionError(f"distances are {self.distances}; give lengths from 0.005 to 1 m")
+        for name in ("candidates", "iterations"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+                raise OptionError(f"{name} is {value}; give a whole number from 1")
+        as_seed(self.seed)
+
+    def limits(self, robot: Robot) -> tuple[FloatArray, FloatArray]:
+        """Return the velocity and acceleration limits (dof,) for `robot`.
+
+        Raises
+        ------
+        OptionError
+            If the accelerations are not positive, or of another number than its joints.
+        """
+        try:
+            acceleration = np.broadcast_to(np.asarray(self.acceleration, dtype=np.float64), (robot.dof,))
+        except (TypeError, ValueError) as error:
+            raise OptionError(f"acceleration must be one number or {robot.dof} of them") from error
+        if not (np.isfinite(acceleration).all() and (acceleration > 0).all()):
+            raise OptionError("acceleration must be positive")
+        return self.velocity * robot.velocity_limits, np.array(acceleration)
+
+    def home_of(self, robot: Robot) -> FloatArray | None:
+        """Return the configuration (dof,) at which the motion begins and ends, or None.
+
+        Raises
+        ------
+        OptionError
+            If it is no configuration within the limits of `robot`.
+        """
+        if self.home is None:
+            return None
+        if isinstance(self.home, str):
+            if self.home != "robot":
+                raise OptionError(f"home is '{self.home}'; give joint positions, 'robot' or None")
+            return robot.home
+        try:
+            home = np.array(self.home, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise OptionError(f"home must be {robot.dof} joint positions") from error
+        if home.shape != (robot.dof,) or not np.isfinite(home).all():
+            raise OptionError(f"home must be {robot.dof} joint positions")
+        if not robot.within_limits(home):
+            raise OptionError("home is outside the joint limits; give joint positions within them")
+        return home

@@ -1,0 +1,108 @@
+"""Joint trajectories: cubic Hermite pieces between knots, whose speeds and accelerations have closed-form extremes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from regrasp_opt.conventions import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A continuously differentiable motion of all joints, M knots joined by cubics.
+
+    Attributes
+    ----------
+    times : (M,)
+        Ascending, from 0 [s].
+    positions, velocities : (M, dof)
+        At the knots [rad, rad/s] (prismatic joints: [m, m/s]).
+    """
+
+    times: FloatArray
+    positions: FloatArray
+    velocities: FloatArray
+
+    @property
+    def duration(self) -> float:
+        """How long it takes [s]."""
+        return float(self.times[-1])
+
+    @cached_property
+    def coefficients(self) -> FloatArray:
+        """Coefficients (4, M-1, dof) of each piece over its own parameter u in [0, 1]: ``sum_k c_k u^k``."""
+        step = np.diff(self.positions, axis=0)
+        h = np.diff(self.times)[:, None]
+        first, last = h * self.velocities[:-1], h * self.velocities[1:]
+        return np.stack([self.positions[:-1], first, 3 * step - 2 * first - last, first + last - 2 * step])
+
+    def at(self, t: ArrayLike) -> FloatArray:
+        """Return the positions (..., dof) at times `t` (...) [s]; before the start and after the end it rests."""
+        u, _, (c0, c1, c2, c3) = self._local(t)
+        return c0 + u * (c1 + u * (c2 + u * c3))
+
+    def velocity_at(self, t: ArrayLike) -> FloatArray:
+        """Return the velocities (..., dof) at times `t` (...) [s] within the trajectory."""
+        u, h, (_, c1, c2, c3) = self._local(t)
+        return (c1 + u * (2 * c2 + 3 * u * c3)) / h
+
+    def _local(self, t: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return parameter and length (..., 1) and coefficients (4, ..., dof) of the pieces at times `t` (...)."""
+        t = np.clip(np.asarray(t, dtype=np.float64), 0.0, self.duration)
+        piece = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2)
+        h = np.diff(self.times)[piece][..., None]
+        return (t - self.times[piece])[..., None] / h, h, self.coefficients[:, piece]
+
+    def position_range(self) -> tuple[FloatArray, FloatArray]:
+        """Return the least and the greatest position (dof,) of each joint over all times."""
+        c0, c1, c2, c3 = self.coefficients
+        extremes = [self.positions]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            root = np.sqrt(c2**2 - 3 * c1 * c3)
+            for u in (-c1 / (c2 + root), -c1 / (c2 - root)):  # also where the cubic term vanishes
+                inside = np.where((u > 0) & (u < 1), u, 0.0)
+                extremes.append(c0 + inside * (c1 + inside * (c2 + inside * c3)))
+        values = np.concatenate(extremes)
+        return values.min(axis=0), values.max(axis=0)
+
+    def peak_velocity(self) -> FloatArray:
+        """Return the largest speed (dof,) of each joint."""
+        _, c1, c2, c3 = self.coefficients
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u = -c2 / (3 * c3)
+        u = np.where((u > 0) & (u < 1), u, 0.0)
+        inner = (c1 + u * (2 * c2 + 3 * u * c3)) / np.diff(self.times)[:, None]
+        return np.concatenate([np.abs(self.velocities), np.abs(inner)]).max(axis=0)
+
+    def peak_acceleration(self) -> FloatArray:
+        """Return the largest acceleration (dof,) of each joint; it is linear on each piece."""
+        _, _, c2, c3 = self.coefficients
+        squared = np.diff(self.times)[:, None] ** 2
+        return np.abs(np.concatenate([2 * c2, 2 * c2 + 6 * c3]) / np.tile(squared, (2, 1))).max(axis=0)
+
+    def slowed(self, factor: float) -> Trajectory:
+        """Return the same path taken `factor` times as slowly."""
+        return Trajectory(self.times * factor, self.positions, self.velocities / factor)
+
+    def within(self, velocity: FloatArray, acceleration: FloatArray) -> Trajectory:
+        """Return it slowed down, if needed, until all speeds and accelerations are within limits (dof,)."""
+        factor = max((self.peak_velocity() / velocity).max(), np.sqrt((self.peak_acceleration() / acceleration).max()))
+        return self.slowed(float(factor) * (1 + 1e-9)) if factor > 1 else self
+
+    def reversed(self) -> Trajectory:
+        """Return the same path backwards in time."""
+        return Trajectory(self.duration - self.times[::-1], self.positions[::-1], -self.velocities[::-1])
+
+
+def joined(parts: list[Trajectory]) -> Trajectory:
+    """Return `parts`, each of which begins at rest where the one before it ends at rest, as one trajectory."""
+    starts = np.cumsum([0.0, *(part.duration for part in parts[:-1])])
+    return Trajectory(
+        np.concatenate([[0.0], *(part.times[1:] + t for part, t in zip(parts, starts, strict=True))]),
+        np.concatenate([parts[0].positions[:1], *(part.positions[1:] for part in parts)]),
+        np.concatenate([parts[0].velocities[:1], *(part.velocities[1:] for part in parts)]),
+    )

@@ -1,0 +1,156 @@
+"""Motions as files: what is written is read back, and nothing malformed is believed."""
+
+import csv
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import trimesh
+
+from regrasp_opt.errors import OptionError, PlanFileError
+from regrasp_opt.motion import MotionPlan, MotionStatus
+from regrasp_opt.motion import motion_file as module
+from regrasp_opt.motion.scene_export import _rpy
+
+DOCS = Path(__file__).parents[2] / "docs" / "motion.md"
+
+
+@pytest.fixture(scope="module")
+def path(motion, tmp_path_factory):
+    path = tmp_path_factory.mktemp("motion") / "motion.json"
+    motion.save(path)
+    return path
+
+
+def test_a_motion_is_read_back_as_it_was(motion, path):
+    again = MotionPlan.load(path)
+    assert again.status is MotionStatus.SOLVED and again.reason == ""
+    assert np.allclose(again.plan.poses, motion.plan.poses, rtol=0, atol=1e-12)
+    assert np.array_equal(again.velocity_limits, motion.velocity_limits)
+    assert len(again.segments) == len(motion.segments)
+    for a, b in zip(again.segments, motion.segments, strict=True):
+        assert (a.phase, a.transition, a.grasp_id, a.jaw) == (b.phase, b.transition, b.grasp_id, b.jaw)
+        for name in ("times", "positions", "velocities"):
+            assert np.array_equal(getattr(a.trajectory, name), getattr(b.trajectory, name))
+
+
+def broken(content, change):
+    content = json.loads(json.dumps(content))
+    change(content)
+    return content
+
+
+FAULTS = {
+    "schema": lambda c: c.update(schema=2),
+    "no motion": lambda c: c.update(kind="plan"),
+    "unknown status": lambda c: c.update(status="done"),
+    "unknown phase": lambda c: c["segments"][0].update(phase="dance"),
+    "segments.0.jaw": lambda c: c["segments"][0].update(jaw=[0.1]),
+    "do not fit its times": lambda c: c["segments"][1]["positions"].pop(),
+    "do not ascend": lambda c: c["segments"][1]["times"].__setitem__(1, -1.0),
+    "not there": lambda c: c["segments"][1].update(transition=9),
+    "other joints": lambda c: c.update(joint_names=["a"] * 6),
+    "plan schema": lambda c: c["plan"].update(schema=7),
+}
+
+
+@pytest.mark.parametrize("named", FAULTS)
+def test_a_malformed_file_is_refused(path, tmp_path, named):
+    content = broken(json.loads(path.read_text("utf-8")), FAULTS[named])
+    bad = tmp_path / "bad.json"
+    bad.write_text(json.dumps(content), "utf-8")
+    with pytest.raises(PlanFileError, match=re.escape(named)):
+        MotionPlan.load(bad)
+
+
+def test_no_file_and_no_json_are_refused(tmp_path):
+    with pytest.raises(PlanFileError, match="cannot read the motion"):
+        MotionPlan.load(tmp_path / "none.json")
+    (tmp_path / "cut.json").write_text("{", "utf-8")
+    with pytest.raises(PlanFileError, match="not valid JSON"):
+        MotionPlan.load(tmp_path / "cut.json")
+
+
+def test_every_key_is_documented():
+    text = DOCS.read_text("utf-8")
+    for record in (module._File, module._Segment):
+        for name, field in record.model_fields.items():
+            assert f"`{field.alias or name}`" in text, name
+    for names in (module._PHASES, module._STATUSES):
+        assert all(f"`{name}`" in text for name in names)
+
+
+def test_the_csv_holds_the_trajectories(motion, tmp_path):
+    motion.save_csv(tmp_path / "motion.csv", 0.02)
+    with (tmp_path / "motion.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    names = motion.plan.problem.workcell.robot.joint_names
+    assert list(rows[0]) == ["time", "phase", "jaw", *names, *(f"{n}_velocity" for n in names)]
+    t = np.array([float(row["time"]) for row in rows])
+    q = np.array([[float(row[n]) for n in names] for row in rows])
+    v = np.array([[float(row[f"{n}_velocity"]) for n in names] for row in rows])
+    assert t[0] == 0 and t[-1] == pytest.approx(motion.duration, abs=1e-6)
+    assert np.allclose(np.diff(t)[:-1], 0.02, atol=1e-6) and 0 < np.diff(t)[-1] < 0.0301
+    for row, start, segment in zip(rows, t, q, strict=True):
+        assert row["phase"] in module._PHASES and np.isfinite(start) and segment.shape == (6,)
+    # integrating the velocities gives the positions
+    assert np.allclose(q[0] + np.cumsum((v[1:] + v[:-1]) / 2 * np.diff(t)[:, None], axis=0), q[1:], atol=2e-3)
+    assert {row["phase"] for row in rows} == {s.phase.name.lower() for s in motion.segments}
+
+
+def test_csv_of_a_bad_step_or_no_motion_is_refused(motion, tmp_path):
+    with pytest.raises(OptionError, match="step"):
+        motion.save_csv(tmp_path / "x.csv", 0.0)
+    unsolved = MotionPlan(MotionStatus.NO_MOTION, "blocked", motion.plan, (), *[np.ones(6)] * 2, 0.0)
+    with pytest.raises(PlanFileError, match="blocked"):
+        unsolved.save_csv(tmp_path / "x.csv")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_scene_is_read_by_another_urdf_reader(motion, tmp_path):
+    motion.save_scene(tmp_path)
+    problem = motion.plan.problem
+    robot, effector = problem.workcell.robot, problem.workcell.end_effector
+    scene = json.loads((tmp_path / "scene.json").read_text("utf-8"))
+    model = pin.buildModelFromUrdf(str(tmp_path / "robot.urdf"))
+    assert list(model.names)[1:] == scene["joint_names"] and model.existFrame(scene["flange_link"])
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, robot.home)
+    flange = data.oMf[model.getFrameId(scene["flange_link"])].homogeneous
+    assert np.allclose(flange, robot.forward(robot.home), atol=1e-9)
+    assert np.allclose(np.array(scene["object_poses"]), motion.plan.poses)
+
+    gripper = pin.buildModelFromUrdf(str(tmp_path / "gripper.urdf"))
+    assert list(gripper.names)[1:] == ["left_finger_joint", "right_finger_joint"]
+    assert np.allclose(gripper.upperPositionLimit, effector.max_opening / 2)
+    bodies = pin.buildGeomFromUrdf(gripper, str(tmp_path / "gripper.urdf"), pin.GeometryType.COLLISION)
+    at, placed = gripper.createData(), bodies.createData()
+    pin.updateGeometryPlacements(gripper, at, bodies, placed, np.full(2, 0.03))
+    wanted = effector.finger_boxes(0.06)
+    fingers = [placed.oMg[n].homogeneous for n, item in enumerate(bodies.geometryObjects) if item.parentJoint > 0]
+    assert np.allclose(sorted(T[1, 3] for T in fingers), sorted(box.pose[1, 3] for box in wanted))
+
+    surroundings = pin.buildModelFromUrdf(str(tmp_path / "surroundings.urdf"))
+    fixed = pin.buildGeomFromUrdf(
+        surroundings, str(tmp_path / "surroundings.urdf"), pin.GeometryType.COLLISION
+    ).geometryObjects
+    table = problem.workcell.table.shape
+    assert np.allclose(fixed[0].placement.homogeneous, table.pose) and np.allclose(
+        2 * np.array(fixed[0].geometry.halfSide), table.size
+    )
+    mesh = trimesh.load(tmp_path / "object.stl")
+    assert mesh.is_watertight and mesh.volume == pytest.approx(problem.object.mesh.volume, rel=1e-4)
+    held = {entry["grasp_id"]: np.array(entry["T_tcp_object"]) for entry in scene["object_in_hand"]}
+    for g, T in held.items():
+        assert np.allclose(T @ problem.grasps.T_object_tcp[g], np.eye(4), atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_roll_pitch_and_yaw(seed):
+    rng = np.random.default_rng(seed)
+    for rpy in (rng.uniform(-1.5, 1.5, 3), np.array([0.7, np.pi / 2, 0.0]), np.array([-0.4, -np.pi / 2, 0.0])):
+        R = pin.rpy.rpyToMatrix(*rpy)
+        assert np.allclose(pin.rpy.rpyToMatrix(*_rpy(R)), R, atol=1e-9)

@@ -1,0 +1,165 @@
+"""`plan_motion` and `plan_with_motion`: what they promise, and what they say where they cannot."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from regrasp_opt import Status, solve_sequence
+from regrasp_opt.benchmarks.motion_recheck import recheck
+from regrasp_opt.conventions import translation
+from regrasp_opt.errors import OptionError
+from regrasp_opt.motion import MotionOptions, MotionStatus, Phase, plan_motion, plan_with_motion
+from regrasp_opt.motion import together as together_module
+from regrasp_opt.motion.connections import Connector
+from regrasp_opt.shapes import Box
+
+SEVEN = [Phase.APPROACH, Phase.GRASP, Phase.LIFT, Phase.TRANSFER, Phase.LOWER, Phase.RELEASE, Phase.RETREAT]
+
+
+def test_a_motion_has_all_its_phases_from_home_to_home(motion, bottle_plan):
+    phases = [segment.phase for segment in motion.segments]
+    assert phases == [Phase.REACH, *SEVEN] * len(bottle_plan.transitions) + [Phase.RETURN]
+    home = bottle_plan.problem.workcell.robot.home
+    assert np.array_equal(motion.segments[0].trajectory.positions[0], home)
+    assert np.array_equal(motion.segments[-1].trajectory.positions[-1], home)
+    assert motion.duration == pytest.approx(motion.starts[-1] + motion.segments[-1].trajectory.duration)
+
+
+def test_a_second_proof_finds_no_fault(motion):
+    found = recheck(motion)
+    assert found.problems == () and found.collisions == 0
+    assert found.least > 0 and found.samples > 5000
+    assert 0.5 < found.velocity <= 1 + 1e-6 and 0.9 < found.acceleration <= 1 + 1e-6
+
+
+def test_the_same_seed_gives_the_same_motion(motion, bottle_plan):
+    again = plan_motion(bottle_plan)
+    assert len(again.segments) == len(motion.segments)
+    for a, b in zip(again.segments, motion.segments, strict=True):
+        assert np.array_equal(a.trajectory.positions, b.trajectory.positions)
+        assert np.array_equal(a.trajectory.times, b.trajectory.times)
+
+
+def test_without_a_home_it_begins_with_the_approach_and_ends_with_the_retreat(bottle_plan):
+    motion = plan_motion(bottle_plan, MotionOptions(home=None, velocity=0.5, acceleration=[2, 2, 3, 3, 4, 4]))
+    phases = [segment.phase for segment in motion.segments]
+    assert phases == [*SEVEN, Phase.REACH, *SEVEN]
+    assert np.allclose(motion.velocity_limits, bottle_plan.problem.workcell.robot.velocity_limits / 2)
+    found = recheck(motion)
+    assert found.problems == () and found.collisions == 0
+
+
+def test_an_unsolved_plan_has_no_motion(bottle_plan):
+    motion = plan_motion(replace(bottle_plan, status=Status.NOT_FOUND, transitions=()))
+    assert motion.status is MotionStatus.NO_PLAN and motion.segments == ()
+
+
+def test_a_home_that_collides_is_refused(bottle_plan):
+    transition = bottle_plan.transitions[0]
+    motion = plan_motion(bottle_plan, MotionOptions(home=transition.q_pick[0]))  # the jaw would close on the object
+    assert motion.status is MotionStatus.HOME_BLOCKED and "start" in motion.reason
+
+
+def test_blocked_phases_are_named(bottle_plan, monkeypatch):
+    monkeypatch.setattr(Connector, "straight", lambda *_: None)
+    monkeypatch.setattr(Connector, "around", lambda *_: None)
+    one = bottle_plan.transitions[0]
+    first = replace(one, **{n: getattr(one, n)[:1] for n in ("grasp_ids", "q_pick", "q_place", "clearance")})
+    motion = plan_motion(replace(bottle_plan, transitions=(first, *bottle_plan.transitions[1:])))
+    assert motion.status is MotionStatus.NO_MOTION and motion.segments == ()
+    assert "transition 0" in motion.reason and "transfer" in motion.reason
+
+
+def test_other_arm_configurations_are_tried(bottle_plan):
+    """A plan whose configurations do not hold the grasp is not believed, but its grasps may still be held."""
+    wrong = tuple(replace(t, q_pick=t.q_pick + 0.01) for t in bottle_plan.transitions)
+    motion = plan_motion(replace(bottle_plan, transitions=wrong))
+    assert motion.solved
+    assert recheck(motion).problems == ()
+
+
+def test_an_obstacle_that_appears_after_the_plan_is_not_run_into(bottle_plan):
+    problem = bottle_plan.problem
+    over = bottle_plan.poses[0][:3, 3] + [0.0, 0.0, 0.35]
+    lid = Box("lid", np.array([0.5, 0.5, 0.02]), translation(*over))
+    problem = replace(problem, workcell=replace(problem.workcell, obstacles=(lid,)))
+    motion = plan_motion(replace(bottle_plan, problem=problem), MotionOptions(home=None, candidates=4, iterations=20))
+    assert not motion.solved or recheck(motion).problems == ()
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ({"velocity": 0.0}, "velocity"),
+        ({"velocity": 1.5}, "velocity"),
+        ({"distances": ()}, "distances"),
+        ({"distances": (2.0,)}, "distances"),
+        ({"candidates": 0}, "candidates"),
+        ({"iterations": 1.5}, "iterations"),
+        ({"seed": -1}, "seed"),
+        ({"acceleration": -1.0}, "acceleration"),
+        ({"acceleration": [1.0, 2.0]}, "acceleration"),
+        ({"home": "bed"}, "home"),
+        ({"home": [0.0, 1.0]}, "home"),
+        ({"home": [9.0] * 6}, "home"),
+    ],
+)
+def test_options_out_of_range_are_refused(bottle_plan, options, named):
+    with pytest.raises(OptionError, match=named):
+        plan_motion(bottle_plan, MotionOptions(**options))
+
+
+def test_the_search_goes_on_with_the_next_candidate(bottle_plan):
+    shown = []
+
+    def third(plan):
+        shown.append(plan)
+        return len(shown) == 3
+
+    start, goal = bottle_plan.poses[[0, -1]]
+    plan = solve_sequence(bottle_plan.problem, start, goal, accept=third)
+    assert plan is shown[2] and plan.solved
+    assert np.allclose(shown[0].poses, bottle_plan.poses, atol=1e-3)
+    assert not np.allclose(shown[2].poses, shown[0].poses, atol=1e-3)
+
+
+def test_a_search_without_acceptable_plan_ends(bottle_plan):
+    start, goal = bottle_plan.poses[[0, -1]]
+    plan = solve_sequence(bottle_plan.problem, start, goal, accept=lambda _: False, max_regrasps=1)
+    assert plan.status is Status.NOT_FOUND
+
+
+def test_poses_and_motion_together(bottle_plan, monkeypatch):
+    tried = []
+
+    def second_only(plan, options):
+        tried.append(plan)
+        found = plan_motion(plan, options)
+        if len(tried) > 1:
+            return found
+        return replace(found, status=MotionStatus.NO_MOTION, reason="too lazy", segments=())
+
+    monkeypatch.setattr(together_module, "plan_motion", second_only)
+    start, goal = bottle_plan.poses[[0, -1]]
+    motion = plan_with_motion(bottle_plan.problem, start, goal)
+    assert motion.solved and len(tried) == 2
+    assert np.array_equal(motion.plan.poses, tried[1].poses)
+
+
+def test_together_says_what_was_in_the_way(bottle_plan, monkeypatch):
+    def never(plan, options):
+        found = plan_motion(replace(plan, status=Status.NOT_FOUND), options)
+        return replace(found, status=MotionStatus.NO_MOTION, reason=f"cost {plan.cost:.3f}", plan=plan)
+
+    monkeypatch.setattr(together_module, "plan_motion", never)
+    start, goal = bottle_plan.poses[[0, -1]]
+    motion = plan_with_motion(bottle_plan.problem, start, goal, max_regrasps=1)
+    assert motion.status is MotionStatus.NO_MOTION
+    assert f"cost {bottle_plan.cost:.3f}" in motion.reason and "none admits" in motion.reason
+
+
+def test_together_without_any_plan(bottle_plan):
+    start, goal = bottle_plan.poses[[0, -1]]
+    motion = plan_with_motion(bottle_plan.problem, start, goal, max_regrasps=0)
+    assert motion.status is MotionStatus.NO_PLAN and "not_found" in motion.reason
