@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from regrasp_opt import Status, solve_sequence
+from regrasp_opt import Recipe, Status, solve_sequence
 from regrasp_opt.benchmarks.motion_recheck import recheck
 from regrasp_opt.conventions import translation
 from regrasp_opt.errors import OptionError
@@ -13,6 +13,10 @@ from regrasp_opt.motion import MotionOptions, MotionStatus, Phase, plan_motion, 
 from regrasp_opt.motion import together as together_module
 from regrasp_opt.motion.connections import Connector
 from regrasp_opt.shapes import Box
+from regrasp_opt.solvers import LatticeRefiner
+
+FEW = Recipe(LatticeRefiner(), batches=(5,), proved=5, fallback=0)
+"""Five candidates and no more."""
 
 SEVEN = [Phase.APPROACH, Phase.GRASP, Phase.LIFT, Phase.TRANSFER, Phase.LOWER, Phase.RELEASE, Phase.RETREAT]
 
@@ -126,7 +130,7 @@ def test_the_search_goes_on_with_the_next_candidate(bottle_plan):
 
 def test_a_search_without_acceptable_plan_ends(bottle_plan):
     start, goal = bottle_plan.poses[[0, -1]]
-    plan = solve_sequence(bottle_plan.problem, start, goal, accept=lambda _: False, max_regrasps=1)
+    plan = solve_sequence(bottle_plan.problem, start, goal, FEW, accept=lambda _: False, max_regrasps=1)
     assert plan.status is Status.NOT_FOUND
 
 
@@ -154,9 +158,9 @@ def test_together_says_what_was_in_the_way(bottle_plan, monkeypatch):
 
     monkeypatch.setattr(together_module, "plan_motion", never)
     start, goal = bottle_plan.poses[[0, -1]]
-    motion = plan_with_motion(bottle_plan.problem, start, goal, max_regrasps=1)
+    motion = plan_with_motion(bottle_plan.problem, start, goal, refiner=FEW, max_regrasps=1)
     assert motion.status is MotionStatus.NO_MOTION
-    assert f"cost {bottle_plan.cost:.3f}" in motion.reason and "none admits" in motion.reason
+    assert f"cost {motion.plan.cost:.3f}" in motion.reason and "none admits" in motion.reason
 
 
 def test_together_without_any_plan(bottle_plan):
