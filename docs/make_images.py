@@ -1,93 +1,94 @@
-"""Make the picture of a plan that the README and the first page show: `python docs/make_images.py`.
+"""Make the pictures of the README and the first page: `python docs/make_images.py`.
 
-It needs Chromium on the path; the figure is the same one that ``regrasp-opt plan --html`` writes.
+It needs the extras ``viz`` and ``dev``, Chromium and its driver on the path. The pictures are of the page that
+``regrasp-opt plan --html`` writes.
 """
 
 from __future__ import annotations
 
+import base64
+import io
 import shutil
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
+from PIL import Image
+from selenium import webdriver
+from selenium.webdriver.common.by import By
 
 from regrasp_opt import RegraspPlan, RegraspProblem, solve_sequence
 from regrasp_opt.cli.poses import parse_pose
-from regrasp_opt.viz.plan_page import plan_figure
+from regrasp_opt.viz import write_plan_page
 
 IMAGES = Path(__file__).parent / "images"
-WIDTH, HEIGHT = 1600, 450
 START, GOAL = "1:0.26,0.40,-30", "0:-0.26,0.40,10"
 CAPTIONS = (
-    "pick at the start",
-    "put down at the intermediate pose",
-    "pick with another grasp",
-    "put down at the goal",
+    "1. pick at the start",
+    "2. put down at the intermediate pose",
+    "3. pick with another grasp",
+    "4. put down at the goal",
 )
 
 
 def solve() -> RegraspPlan:
-    """Return the plan of the picture: a bottle that lies on one side is to lie on the next."""
+    """Return the plan of the pictures: a bottle that lies on one side is to lie on the next."""
     problem = RegraspProblem.load("bottle", "nova2-w")
     ends = [parse_pose(text, "pose", problem.placement_poses) for text in (START, GOAL)]
     return solve_sequence(problem, *ends)
 
 
-def panels(plan: RegraspPlan) -> go.Figure:
-    """Return one panel for each pick and each place of a plan with one regrasp."""
-    page = plan_figure(plan)
-    fixed = page.data[len(page.frames[0].data) :]
-    figure = make_subplots(
-        cols=len(page.frames),
-        specs=[[{"type": "scene"}] * len(page.frames)],
-        subplot_titles=[f"{i}. {caption}" for i, caption in enumerate(CAPTIONS, start=1)],
-        horizontal_spacing=0.0,
-    )
-    for column, frame in enumerate(page.frames, start=1):
-        for trace in (*frame.data, *fixed):
-            shown = go.Mesh3d(trace)
-            shown.showlegend = column == 1 and trace.name in ("start", "pose 1", "goal")
-            shown.opacity = trace.opacity if trace.name != "table" else 0.9
-            figure.add_trace(shown, row=1, col=column)
-    hidden = {axis: {"visible": False} for axis in ("xaxis", "yaxis", "zaxis")}
-    camera = {"eye": {"x": 0.12, "y": 1.08, "z": 0.62}, "center": {"x": 0.0, "y": -0.06, "z": -0.06}}
-    figure.update_scenes(aspectmode="data", camera=camera, **hidden)
-    figure.update_layout(
-        width=WIDTH,
-        height=HEIGHT,
-        font={"size": 19},
-        margin={"l": 0, "r": 0, "t": 40, "b": 0},
-        legend={"orientation": "h", "x": 0.5, "xanchor": "center", "y": 0.0, "itemsizing": "constant"},
-        paper_bgcolor="white",
-    )
-    figure.update_annotations(font_size=22)
-    return figure
+def open_browser(profile: str) -> webdriver.Chrome:
+    """Return a headless Chromium."""
+    options = webdriver.ChromeOptions()
+    options.binary_location = shutil.which("chromium") or "chromium"
+    for option in ("--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run", "--hide-scrollbars"):
+        options.add_argument(option)
+    for option in ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", f"--user-data-dir={profile}"):
+        options.add_argument(option)
+    return webdriver.Chrome(options=options, service=webdriver.ChromeService(shutil.which("chromedriver")))
 
 
-def screenshot(figure: go.Figure, path: Path) -> None:
-    """Draw `figure` in a headless browser and save it as PNG."""
-    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    if browser is None:
-        sys.exit("Chromium is not on the path; install it, for example with 'apt-get install chromium'")
-    with tempfile.TemporaryDirectory() as folder:
-        page = Path(folder) / "page.html"
-        page.write_text(figure.to_html(include_plotlyjs=True, config={"displayModeBar": False}), encoding="utf-8")
-        options = ["--headless=new", "--no-sandbox", "--hide-scrollbars", "--use-gl=angle", "--use-angle=swiftshader"]
-        options += ["--enable-unsafe-swiftshader", f"--window-size={WIDTH},{HEIGHT}", "--virtual-time-budget=20000"]
-        command = [browser, *options, f"--user-data-dir={folder}/profile", f"--screenshot={path}", page.as_uri()]
-        subprocess.run(command, check=True, timeout=120, stderr=subprocess.DEVNULL)
+def photograph(browser: webdriver.Chrome, width: int, height: int) -> Image.Image:
+    """Return a picture of the page in a window of this size [px]."""
+    size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    browser.execute_async_script("requestAnimationFrame(() => requestAnimationFrame(arguments[0]))")
+    shot = browser.execute_cdp_cmd("Page.captureScreenshot", {"format": "png"})
+    return Image.open(io.BytesIO(base64.b64decode(shot["data"]))).convert("RGB")
 
 
 def main() -> None:
-    """Write ``docs/images/plan.png``."""
-    IMAGES.mkdir(exist_ok=True)
+    """Write ``plan.png``, the four steps of a plan, and ``page.png``, the page with grasps and cost."""
     plan = solve()
     print(plan.status.name, np.round(plan.xi, 3).tolist())
-    screenshot(panels(plan), IMAGES / "plan.png")
+    IMAGES.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        page = Path(folder) / "plan.html"
+        write_plan_page(plan, page)
+        browser = open_browser(f"{folder}/profile")
+        try:
+            browser.get(page.as_uri())
+            browser.find_element(By.ID, "field").send_keys("of pose 1")
+            browser.execute_script("plan.show(1)")
+            photograph(browser, 1280, 760).quantize(256).save(IMAGES / "page.png", optimize=True)
+            browser.find_element(By.ID, "field").send_keys("hidden")
+            browser.find_element(By.ID, "marks").click()
+            hide = "for (const card of document.querySelectorAll('.card')) card.style.visibility = 'hidden';"
+            browser.execute_script(hide + "plan.look(0.82)")
+            panels = []
+            for step in range(len(CAPTIONS)):
+                browser.execute_script(f"plan.show({step})")
+                panels.append(photograph(browser, 520, 480))
+        finally:
+            browser.quit()
+    figure, axes = plt.subplots(1, len(panels), figsize=(16, 4.1), layout="constrained")
+    for ax, panel, caption in zip(axes, panels, CAPTIONS, strict=True):
+        ax.imshow(panel)
+        ax.set_title(caption, fontsize=15)
+        ax.axis("off")
+    figure.savefig(IMAGES / "plan.png", dpi=100)
 
 
 if __name__ == "__main__":

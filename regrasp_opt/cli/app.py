@@ -199,6 +199,25 @@ def motion(
 
 
 @app.command()
+def show(
+    plan: PlanArgument,
+    html: Annotated[Path | None, typer.Option(help="Write one page that needs no network, and end.")] = None,
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the live view.")] = 8080,
+) -> int:
+    """Show a saved plan in the browser: a live view until Ctrl+C, or one page in a file.
+
+    Examples
+    --------
+    regrasp-opt show plan.json
+
+    regrasp-opt show plan.json --html plan.html
+    """
+    from regrasp_opt.cli.show import run_show
+
+    return run_show(plan, html=html, port=port)
+
+
+@app.command()
 def export(
     model: Annotated[
         Path,

@@ -1,5 +1,5 @@
-"""Pictures of plans."""
+"""Pictures of plans: a page, a live viewer, plots."""
 
-from regrasp_opt.viz.plan_page import write_plan_page
+from regrasp_opt.viz.page import write_plan_page
 
 __all__ = ["write_plan_page"]

@@ -115,7 +115,7 @@ def test_the_version_is_the_same_everywhere():
 def test_constraints_are_exact_and_cover_the_dependencies():
     text = (ROOT / "constraints.txt").read_text(encoding="utf-8")
     lines = [line for line in text.splitlines() if line and not line.startswith("#")]
-    assert all(re.fullmatch(r"[\w.-]+==[\d.]+(b\d+)?", line) for line in lines)
+    assert all(re.fullmatch(r"[\w.-]+==[\d.]+(b\d+|\.post\d+)?", line) for line in lines)
     pinned = {re.sub(r"[-_.]+", "-", line.split("==")[0]).lower() for line in lines}
     settings = (ROOT / "pyproject.toml").read_text(encoding="utf-8").split("[project.scripts]")[0]
     needed = re.findall(r'"([\w-]+)>=[\d.]+"', settings.split("dependencies = [", 1)[1])

@@ -1,0 +1,119 @@
+"""One self-contained HTML page that shows a plan or a motion; it loads nothing and draws with plain WebGL."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import math
+import os
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from regrasp_opt.conventions import FloatArray
+from regrasp_opt.files import atomic_path
+from regrasp_opt.planning import RegraspPlan
+from regrasp_opt.viz.fields import CostField
+from regrasp_opt.viz.scene import SCALE, PlanScene, SharedGrasps, plan_scene, scaled_colours
+from regrasp_opt.viz.surfaces import Surface
+from regrasp_opt.viz.track import Track
+
+
+def write_plan_page(plan: RegraspPlan, path: str | os.PathLike[str], track: Track | None = None) -> None:
+    """Write a page that shows `plan` to `path`, or the motion `track` that carries it out; it needs no network."""
+    text = page_text(plan_scene(plan, track))
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def page_text(scene: PlanScene) -> str:
+    """Return the page that draws `scene`."""
+    folder = files("regrasp_opt") / "data" / "page"
+    content = json.dumps(_content(scene), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    fill = {
+        "{{title}}": html.escape(scene.title),
+        "{{scene}}": content,
+        "{{script}}": (folder / "page.js").read_text(encoding="utf-8"),
+    }
+    page = (folder / "page.html").read_text(encoding="utf-8")
+    for name, text in fill.items():
+        before, after = page.split(name, 1)
+        page = before + text + after
+    return page
+
+
+def _content(scene: PlanScene) -> dict[str, Any]:
+    meshes = [*(part.surface for part in scene.parts), scene.object_surface, scene.mark]
+    return {
+        "title": scene.title,
+        "subtitle": scene.subtitle,
+        "meshes": [_mesh(surface) for surface in meshes],
+        "parts": [
+            {"name": part.name, "mesh": k, "colour": part.colour, "body": part.body}
+            for k, part in enumerate(scene.parts)
+        ],
+        "object": len(meshes) - 2,
+        "mark": len(meshes) - 1,
+        "ghosts": [{"name": name, "colour": colour, "pose": _rounded(pose)} for name, colour, pose in scene.ghosts],
+        "bodies": scene.states.shape[1],
+        "states": _packed(scene.states, np.float32),
+        "steps": [step._asdict() for step in scene.steps],
+        "seconds": scene.seconds,
+        "grasps": [_grasps(shared) for shared in scene.grasps],
+        "marks": _rounded(scene.marks),
+        "fields": [_field(field, scene.table_height) for field in scene.fields],
+        "scale": SCALE,
+        "table_height": scene.table_height,
+        "eye": _rounded(scene.eye),
+        "target": _rounded(scene.target),
+    }
+
+
+def _grasps(shared: SharedGrasps) -> dict[str, Any]:
+    energies = [None if math.isnan(e) else round(e, 4) for e in shared.energies.tolist()]
+    if np.isnan(shared.energies).any():
+        ends = [1e3 * float(shared.clearance.max()), 1e3 * float(np.percentile(shared.clearance, 10))]
+    else:
+        ends = [float(shared.energies.min()), float(np.percentile(shared.energies, 90))]
+    return {
+        "ids": shared.ids.tolist(),
+        "energies": energies,
+        "clearance": _rounded(shared.clearance),
+        "colours": shared.colours.tolist(),
+        "ends": ends,
+        "best": shared.best,
+        "first_state": shared.first_state,
+    }
+
+
+def _field(field: CostField, table_height: float) -> dict[str, Any]:
+    surface, colours = field_surface(field, table_height)
+    mesh = _mesh(surface)
+    mesh["colours"] = _packed(colours, np.uint8)
+    low, high = float(field.cost.min()), float(np.percentile(field.cost, 90))
+    return {"number": field.number, "mesh": mesh, "low": low, "high": high}
+
+
+def field_surface(field: CostField, table_height: float) -> tuple[Surface, NDArray[Any]]:
+    """Return a field as a surface just above the table with the colours (V, 3) uint8 of its vertices."""
+    x, y = np.meshgrid(field.x, field.y)
+    vertices = np.stack([x, y, np.full_like(x, table_height + 0.0008)], axis=-1).reshape(-1, 3)
+    number = np.arange(x.size).reshape(x.shape)
+    a, b, c, d = (n.ravel() for n in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]))
+    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    return Surface(vertices, faces), scaled_colours(field.cost).reshape(-1, 3)
+
+
+def _mesh(surface: Surface) -> dict[str, str]:
+    return {"vertices": _packed(surface.vertices, np.float32), "faces": _packed(surface.faces, np.uint32)}
+
+
+def _packed(array: NDArray[Any], kind: Any) -> str:
+    return base64.b64encode(np.ascontiguousarray(array, dtype=kind).tobytes()).decode("ascii")
+
+
+def _rounded(array: FloatArray) -> Any:
+    return np.round(np.asarray(array, dtype=np.float64), 6).tolist()

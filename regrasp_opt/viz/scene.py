@@ -1,0 +1,196 @@
+"""What there is to see of a plan: parts, where they are at each step, the shared grasps, and the cost over the table.
+
+The page and the viewer draw the same `PlanScene`. A step is a pick or a place, or a moment of a motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from plotly.colors import get_colorscale, hex_to_rgb
+from scipy.spatial.transform import Rotation
+
+from regrasp_opt.conventions import FloatArray, IntArray
+from regrasp_opt.planning import RegraspPlan
+from regrasp_opt.viz.fields import CostField, cost_field, grasp_energies, has_energy
+from regrasp_opt.viz.looks import BASE, COLOURS, Part, body_poses, grasp_mark, gripper_parts, robot_parts
+from regrasp_opt.viz.surfaces import Surface, shape_surface
+from regrasp_opt.viz.track import Track
+
+SCALE = tuple(colour for _, colour in get_colorscale("Viridis"))
+"""Colours from the least to the greatest energy or cost; they differ in lightness, so nobody needs to see hues."""
+
+
+class Step(NamedTuple):
+    """A position of the slider: its label, the transition that it belongs to, and the row of the scene's states."""
+
+    label: str
+    transition: int
+    state: int
+
+
+class SharedGrasps(NamedTuple):
+    """The K shared grasps of one transition.
+
+    Attributes
+    ----------
+    ids : (K,) int
+    energies : (K,)
+        Summed over both poses; NaN where no model was prepared.
+    clearance : (K,) [m]
+    colours : (K, 3) uint8
+        By energy, or by clearance where there is none.
+    best : int
+        Which of them the steps show first: the clearest.
+    first_state : int
+        Row of the states in which the first of them picks; the next row is its place, then comes the next grasp.
+    """
+
+    ids: IntArray
+    energies: FloatArray
+    clearance: FloatArray
+    colours: IntArray
+    best: int
+    first_state: int
+
+
+@dataclass(frozen=True, eq=False)
+class PlanScene:
+    """Everything that is drawn.
+
+    Attributes
+    ----------
+    title, subtitle : str
+    parts : tuple of Part
+        Those that stand still are in the world frame.
+    ghosts : tuple of (name, colour, pose (7,))
+        The object at the plan's poses.
+    object_surface, mark : Surface
+        The object in its own frame, and what marks a grasp in the TCP frame.
+    states : (M, bodies, 7) float32
+        Poses of the moving bodies: position [m] and quaternion (x, y, z, w).
+    steps : tuple of Step
+    seconds : float or None
+        How long the steps take if they are a motion.
+    grasps : tuple of SharedGrasps
+    marks : (G, 7)
+        Poses of all grasps in the object frame.
+    fields : tuple of CostField
+    table_height : float
+    eye, target : (3,)
+        Where to look from, and at what [m].
+    """
+
+    title: str
+    subtitle: str
+    parts: tuple[Part, ...]
+    ghosts: tuple[tuple[str, str, FloatArray], ...]
+    object_surface: Surface
+    mark: Surface
+    states: FloatArray
+    steps: tuple[Step, ...]
+    seconds: float | None
+    grasps: tuple[SharedGrasps, ...]
+    marks: FloatArray
+    fields: tuple[CostField, ...]
+    table_height: float
+    eye: FloatArray
+    target: FloatArray
+
+    @property
+    def object_body(self) -> int:
+        """Number of the object among the moving bodies."""
+        return self.states.shape[1] - 1
+
+
+def plan_scene(plan: RegraspPlan, track: Track | None = None) -> PlanScene:
+    """Return what there is to see of `plan`, with the moments of `track` as steps where one is given."""
+    problem, cell = plan.problem, plan.problem.workcell
+    dof = cell.robot.dof
+    parts = [
+        Part("table", shape_surface(cell.table.shape), COLOURS["table"], BASE),
+        *(Part(s.name, shape_surface(s), COLOURS["obstacle"], BASE) for s in cell.obstacles),
+        *robot_parts(cell.robot, cell.T_world_base),
+        *gripper_parts(cell.end_effector, dof),
+        Part("object", Surface(problem.object.vertices, problem.object.faces), COLOURS["object"], dof + 3),
+    ]
+    parts = [part._replace(surface=part.surface.creased()) for part in parts]
+    states, steps, grasps = _picks_and_places(plan)
+    if track is not None:
+        moved = track.labels, track.transitions, range(len(states), len(states) + len(track.times))
+        steps = [Step(*row) for row in zip(*moved, strict=True)]
+        states = np.concatenate([states, _states(plan, track.q, track.jaw, track.T_world_object)])
+    names = ["start", *(f"pose {i}" for i in range(1, plan.num_regrasps + 1)), "goal"]
+    colours = [COLOURS.get(name, COLOURS["intermediate"]) for name in names]
+    target = 0.6 * plan.poses[:, :3, 3].mean(axis=0) + 0.4 * cell.T_world_base[:3, 3] + np.array([0.0, 0.0, 0.14])
+    away = target[:2] - cell.T_world_base[:2, 3]
+    away = away / np.linalg.norm(away) if np.linalg.norm(away) > 1e-3 else np.array([0.0, 1.0])
+    return PlanScene(
+        title=f"{problem.object.name} in {cell.name}",
+        subtitle=_subtitle(plan, track),
+        parts=tuple(parts),
+        ghosts=tuple(zip(names, colours, _pose7(plan.poses), strict=True)),
+        object_surface=parts[-1].surface,
+        mark=grasp_mark(cell.end_effector).creased(),
+        states=states,
+        steps=tuple(steps),
+        seconds=None if track is None else float(track.times[-1]),
+        grasps=tuple(grasps),
+        marks=_pose7(problem.grasps.T_object_tcp),
+        fields=tuple(cost_field(plan, i + 1) for i in range(plan.num_regrasps if has_energy(plan) else 0)),
+        table_height=cell.table.height,
+        eye=target + np.array([*(1.3 * away + 0.5 * np.array([away[1], -away[0]])), 0.75]),
+        target=target,
+    )
+
+
+def _subtitle(plan: RegraspPlan, track: Track | None) -> str:
+    if not plan.solved:
+        return plan.status.value
+    cost = "" if np.isnan(plan.cost) else f", J_seq {plan.cost:.2f}"
+    duration = "" if track is None else f", motion of {track.times[-1]:.1f} s"
+    return f"{plan.num_regrasps} regrasp(s){cost}{duration}"
+
+
+def _picks_and_places(plan: RegraspPlan) -> tuple[FloatArray, list[Step], list[SharedGrasps]]:
+    """Return the states in which every shared grasp picks and places, the steps of the clearest, and the grasps."""
+    dof, width = plan.problem.workcell.robot.dof, plan.problem.grasps.width
+    if not plan.transitions:
+        nowhere = np.zeros((1, dof + 4, 7), dtype=np.float32)
+        nowhere[:] = _states(plan, plan.problem.workcell.robot.home[None], np.zeros(1), plan.poses[:1])
+        return nowhere, [Step("start", -1, 0)], []
+    energies = grasp_energies(plan) if has_energy(plan) else None
+    states, steps, grasps, row = [], [], [], 0
+    for i, t in enumerate(plan.transitions):
+        count, best = len(t.grasp_ids), int(t.clearance.argmax())
+        q = np.stack([t.q_pick, t.q_place], axis=1).reshape(-1, dof)
+        states.append(_states(plan, q, np.repeat(width[t.grasp_ids], 2), np.tile(plan.poses[i : i + 2], (count, 1, 1))))
+        energy = np.full(count, np.nan) if energies is None else energies[i]
+        colours = scaled_colours(-t.clearance if energies is None else energy)
+        grasps.append(SharedGrasps(t.grasp_ids, energy, t.clearance, colours, best, row))
+        steps += [Step(f"move {i}: {what}", i, row + 2 * best + k) for k, what in enumerate(("pick", "place"))]
+        row += 2 * count
+    return np.concatenate(states), steps, grasps
+
+
+def scaled_colours(values: FloatArray) -> IntArray:
+    """Return colours (..., 3) uint8 of `values` (...), from their least to their 90th percentile."""
+    low, high = float(values.min()), float(np.percentile(values, 90))
+    part = (values - low) / max(high - low, 1e-9)
+    table = np.array([hex_to_rgb(colour) for colour in SCALE])
+    at = np.linspace(0.0, 1.0, len(table))
+    return np.stack([np.interp(part, at, channel) for channel in table.T], axis=-1).round().astype(np.uint8)
+
+
+def _states(plan: RegraspPlan, q: FloatArray, jaw: FloatArray, T_world_object: FloatArray) -> FloatArray:
+    cell = plan.problem.workcell
+    bodies = body_poses(cell.robot, cell.T_world_base, q, jaw)
+    return _pose7(np.concatenate([bodies, T_world_object[:, None]], axis=1)).astype(np.float32)
+
+
+def _pose7(T: FloatArray) -> FloatArray:
+    """Return positions and quaternions (..., 7) of transforms (..., 4, 4)."""
+    turned = Rotation.from_matrix(T[..., :3, :3].reshape(-1, 3, 3)).as_quat().reshape(*T.shape[:-2], 4)
+    return np.concatenate([T[..., :3, 3], turned], axis=-1)

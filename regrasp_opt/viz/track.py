@@ -1,0 +1,92 @@
+"""A motion as the viewers need it: moments with configuration, opening of the jaw and pose of the object."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from regrasp_opt.conventions import FloatArray, invert
+from regrasp_opt.planning import RegraspPlan
+
+RATE = 25.0
+"""Moments for each second of a motion."""
+
+
+class _Phase(Protocol):
+    @property
+    def name(self) -> str: ...
+    @property
+    def holds(self) -> bool: ...
+
+
+class _Trajectory(Protocol):
+    @property
+    def duration(self) -> float: ...
+    def at(self, t: ArrayLike) -> FloatArray: ...
+
+
+class _Segment(Protocol):
+    @property
+    def phase(self) -> _Phase: ...
+    @property
+    def transition(self) -> int: ...
+    @property
+    def grasp_id(self) -> int: ...
+    @property
+    def trajectory(self) -> _Trajectory: ...
+    @property
+    def jaw(self) -> tuple[float, float]: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Moments of a motion.
+
+    Attributes
+    ----------
+    times : (M,) [s]
+    labels : tuple of str
+        The transition and what the arm is doing.
+    transitions : tuple of int
+    q : (M, dof)
+    jaw : (M,)
+        Opening of the jaw [m].
+    T_world_object : (M, 4, 4)
+    """
+
+    times: FloatArray
+    labels: tuple[str, ...]
+    transitions: tuple[int, ...]
+    q: FloatArray
+    jaw: FloatArray
+    T_world_object: FloatArray
+
+
+def track_of(plan: RegraspPlan, segments: Sequence[_Segment], rate: float = RATE) -> Track:
+    """Return the moments of a motion of `plan`, about `rate` for each second.
+
+    `segments` are those of a `MotionPlan`, each with phase, transition, grasp_id, trajectory and jaw. The object rests
+    at its pose until a segment holds it, moves with the TCP while one does, and rests at its next pose after that.
+    """
+    cell, grasps = plan.problem.workcell, plan.problem.grasps
+    rows: list[tuple[Any, ...]] = []
+    began, carried = 0.0, set[int]()
+    for s in segments:
+        times = np.linspace(0.0, s.trajectory.duration, max(2, int(np.ceil(rate * s.trajectory.duration)) + 1))[1:]
+        q = s.trajectory.at(times)
+        jaw = np.linspace(*s.jaw, len(times) + 1)[1:]
+        if s.phase.holds:
+            carried.add(s.transition)
+            tcp = cell.T_world_base @ cell.robot.forward(q) @ cell.end_effector.T_flange_tcp
+            T = tcp @ invert(grasps.T_object_tcp[s.grasp_id])
+        else:
+            T = np.tile(plan.poses[s.transition + (s.transition in carried)], (len(times), 1, 1))
+        label = f"move {s.transition}: {s.phase.name.lower()}"
+        rows += [(began + t, label, s.transition, *rest) for t, *rest in zip(times, q, jaw, T, strict=True)]
+        began += s.trajectory.duration
+    times, labels, transitions, q, jaw, T = zip(*rows, strict=True)
+    return Track(np.array(times), labels, transitions, np.array(q), np.array(jaw), np.array(T))
