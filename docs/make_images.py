@@ -47,7 +47,9 @@ def open_browser(profile: str) -> webdriver.Chrome:
         options.add_argument(option)
     for option in ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", f"--user-data-dir={profile}"):
         options.add_argument(option)
-    return webdriver.Chrome(options=options, service=webdriver.ChromeService(shutil.which("chromedriver")))
+    browser = webdriver.Chrome(options=options, service=webdriver.ChromeService(shutil.which("chromedriver")))
+    browser.set_script_timeout(300)
+    return browser
 
 
 def photograph(browser: webdriver.Chrome, width: int, height: int) -> Image.Image:
@@ -72,7 +74,7 @@ def main() -> None:
             browser.get(page.as_uri())
             browser.find_element(By.ID, "field").send_keys("of pose 1")
             browser.execute_script("plan.show(1)")
-            photograph(browser, 1280, 760).quantize(256).save(IMAGES / "page.png", optimize=True)
+            photograph(browser, 1280, 760).save(IMAGES / "page.png", optimize=True)
             browser.find_element(By.ID, "field").send_keys("hidden")
             browser.find_element(By.ID, "marks").click()
             hide = "for (const card of document.querySelectorAll('.card')) card.style.visibility = 'hidden';"
@@ -83,10 +85,10 @@ def main() -> None:
                 panels.append(photograph(browser, 520, 480))
         finally:
             browser.quit()
-    figure, axes = plt.subplots(1, len(panels), figsize=(16, 4.1), layout="constrained")
+    figure, axes = plt.subplots(1, len(panels), figsize=(16, 3.95), layout="constrained")
     for ax, panel, caption in zip(axes, panels, CAPTIONS, strict=True):
         ax.imshow(panel)
-        ax.set_title(caption, fontsize=15)
+        ax.set_title(caption, fontsize=14)
         ax.axis("off")
     figure.savefig(IMAGES / "plan.png", dpi=100)
 

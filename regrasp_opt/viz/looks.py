@@ -62,7 +62,7 @@ def _rounded(geometry: object) -> list[tuple[str, Surface]]:
         return [("arm", coal_surface(geometry))]
     radius, length = float(geometry.radius), 2 * float(geometry.halfLength)
     if length > 2 * SLENDER * radius:
-        return [("arm", rounded_cylinder(0.86 * radius, length, 0.0))]
+        return [("arm", rounded_cylinder(0.8 * radius, length, 0.0))]
     cap = rounded_cylinder(0.74 * radius, 0.008, 0.002)
     ends = [cap.placed(translation(0.0, 0.0, side * (length / 2 - 0.0025))) for side in (-1, 1)]
     return [("arm", rounded_cylinder(radius, length)), *(("joint", end) for end in ends)]

@@ -31,6 +31,8 @@ class PlanViewer:
         Where to listen; the next free port is taken if it is in use.
     host : str
         Address to listen on; by default only this machine can connect.
+    shadows : bool
+        Whether the lights cast shadows, which is slow without a graphics card.
 
     Attributes
     ----------
@@ -43,7 +45,7 @@ class PlanViewer:
         If viser is not installed.
     """
 
-    def __init__(self, scene: PlanScene, port: int = 8080, host: str = "127.0.0.1") -> None:
+    def __init__(self, scene: PlanScene, port: int = 8080, host: str = "127.0.0.1", shadows: bool = True) -> None:
         self._scene = scene
         viser = _viser()
         with contextlib.redirect_stdout(io.StringIO()):  # it announces itself there
@@ -52,7 +54,7 @@ class PlanViewer:
         self._chosen = [shared.best for shared in scene.grasps]
         self._step, self._marks_of = 0, -1
         self._marks: list[Any] = []
-        self._server.scene.configure_default_lights(cast_shadow=True)
+        self._server.scene.configure_default_lights(cast_shadow=shadows)
         self._server.initial_camera.position = tuple(scene.eye)
         self._server.initial_camera.look_at = tuple(scene.target)
         self._server.initial_camera.fov = FIELD_OF_VIEW
@@ -123,7 +125,7 @@ class PlanViewer:
 
     def _add_controls(self) -> None:
         gui, scene = self._server.gui, self._scene
-        gui.configure_theme(control_layout="collapsible", dark_mode=False, show_logo=False, show_share_button=False)
+        gui.configure_theme(dark_mode=False, show_logo=False, show_share_button=False)
         gui.set_panel_label("regrasp-opt")
         gui.add_markdown(f"### {scene.title}\n{scene.subtitle}")
         self._slider = gui.add_slider("step", min=0, max=max(len(scene.steps) - 1, 1), step=1, initial_value=0)

@@ -13,7 +13,7 @@ def test_the_viewer_draws_and_its_slider_moves_the_scene(plan, browser, picture,
 
     from regrasp_opt.viz.viewer import PlanViewer
 
-    viewer = PlanViewer(plan_scene(plan), port=18432)
+    viewer = PlanViewer(plan_scene(plan), port=18432, shadows=False)
     try:
         complaints()
         browser.get(viewer.url)

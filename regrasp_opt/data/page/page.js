@@ -178,7 +178,7 @@
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     const field = fields[Number(element("field").value)];
-    if (field) draw(field.mesh, identity, null, 0.85, 0.25);
+    if (field) draw(field.mesh, identity, null, 0.62, 0.25);
     gl.enable(gl.STENCIL_TEST);
     gl.stencilFunc(gl.EQUAL, 1, 0xff);
     gl.stencilOp(gl.KEEP, gl.KEEP, gl.INCR);
