@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from regrasp_opt.cli.completion import EXPERIMENTS, OBJECTS, REFINERS, names, stored
 from regrasp_opt.errors import RegraspError
 
 app = typer.Typer(
@@ -23,10 +24,23 @@ app = typer.Typer(
 _state = {"debug": False}
 
 ObjectOption = Annotated[
-    str, typer.Option("--object", help="Built-in object (bottle, mug, pentagon, figurine) or a mesh file.")
+    str,
+    typer.Option(
+        "--object",
+        help="Built-in object (bottle, mug, pentagon, figurine) or a mesh file.",
+        autocompletion=names(OBJECTS),
+    ),
 ]
-WorkcellOption = Annotated[str, typer.Option(help="Built-in workcell (nova2-w, nova2-r140, ...) or a TOML file.")]
-EffectorOption = Annotated[str | None, typer.Option("--end-effector", help="Replace the workcell's end-effector.")]
+WorkcellOption = Annotated[
+    str,
+    typer.Option(
+        help="Built-in workcell (nova2-w, nova2-r140, ...) or a TOML file.", autocompletion=stored("workcells")
+    ),
+]
+EffectorOption = Annotated[
+    str | None,
+    typer.Option("--end-effector", help="Replace the workcell's end-effector.", autocompletion=stored("end_effectors")),
+]
 ModelOption = Annotated[Path | None, typer.Option(help="Folder of a prepared model.")]
 ScaleOption = Annotated[float, typer.Option(help="Metres per unit of the mesh file, e.g. 0.001.")]
 RepairOption = Annotated[bool, typer.Option("--repair", help="Mend the mesh where that is safe.")]
@@ -89,7 +103,10 @@ def plan(
         typer.Option(metavar="POSE", help="PLACEMENT:x,y,yaw_deg or a JSON file with a 4x4 matrix."),
     ] = None,
     goal: Annotated[str | None, typer.Option(metavar="POSE", help="As --start.")] = None,
-    refiner: Annotated[str, typer.Option(help="ipopt, lattice, langevin, langevin-ipopt or paper.")] = "ipopt",
+    refiner: Annotated[
+        str,
+        typer.Option(help="ipopt, lattice, langevin, langevin-ipopt or paper.", autocompletion=names(REFINERS)),
+    ] = "ipopt",
     seed: SeedOption = 0,
     max_regrasps: Annotated[int, typer.Option(help="Largest number of intermediate poses.")] = 5,
     time_limit: Annotated[float | None, typer.Option(help="Seconds to search at most.")] = None,
@@ -131,7 +148,9 @@ def plan(
 
 @app.command()
 def prepare(
-    object: Annotated[str, typer.Argument(metavar="OBJECT", help="Built-in object or a mesh file.")],
+    object: Annotated[
+        str, typer.Argument(metavar="OBJECT", help="Built-in object or a mesh file.", autocompletion=names(OBJECTS))
+    ],
     workcell: WorkcellOption = "nova2-w",
     end_effector: EffectorOption = None,
     samples: Annotated[int, typer.Option(help="Feasible (pose, grasp) pairs to train on.")] = 20_000,
@@ -221,7 +240,11 @@ def show(
 def export(
     model: Annotated[
         Path,
-        typer.Argument(metavar="MODEL", help="Folder of a prepared model, or OBJECT-WORKCELL of a bundled one."),
+        typer.Argument(
+            metavar="MODEL",
+            help="Folder of a prepared model, or OBJECT-WORKCELL of a bundled one.",
+            autocompletion=stored("models"),
+        ),
     ],
     to: Annotated[Literal["casadi", "c", "onnx"], typer.Option("--to", help="Format.")],
     out: Annotated[Path | None, typer.Option(help="File to write; by default in this folder.")] = None,
@@ -245,6 +268,7 @@ def bench(
             metavar="EXPERIMENT",
             help="cost-sweep, one-step, unseen, cross-effector, multi-step, hard-tiers, refiners, ablations, "
             "embedding, joint, motion or speed.",
+            autocompletion=names(EXPERIMENTS),
         ),
     ],
     quick: Annotated[bool, typer.Option("--quick", help="Minutes instead of the paper's sizes.")] = False,
@@ -257,6 +281,7 @@ def bench(
     out: Annotated[Path, typer.Option(help="Folder of the results; an interrupted run goes on there.")] = Path(
         "benchmarks"
     ),
+    json: Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")] = False,
 ) -> int:
     """Repeat an experiment of the paper, or one of ours, and write rows, a summary and a page. Resumes.
 
@@ -266,4 +291,4 @@ def bench(
     """
     from regrasp_opt.cli.bench import run_bench
 
-    return run_bench(experiment, out=out, quick=quick, objects=objects, jobs=jobs, dask=dask, seed=seed)
+    return run_bench(experiment, out=out, quick=quick, objects=objects, jobs=jobs, dask=dask, seed=seed, as_json=json)

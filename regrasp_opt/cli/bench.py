@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -57,6 +58,7 @@ def run_bench(
     jobs: int = -1,
     dask: str | None = None,
     seed: int = 0,
+    as_json: bool = False,
 ) -> int:
     """Run one experiment, write its files below `out` and print its tables; return 0.
 
@@ -74,6 +76,8 @@ def run_bench(
         Workers, as joblib counts them.
     dask : str, optional
         Address of a Dask scheduler whose workers are used instead.
+    as_json : bool
+        Print the summary as one JSON object instead of the tables.
 
     Raises
     ------
@@ -81,8 +85,9 @@ def run_bench(
         For an unknown experiment, a folder without meshes, or a scheduler that does not answer.
     """
     if name == SPEED:
-        run_speed(out / SPEED, quick=quick, meshes=[] if objects is None else mesh_files(objects), tell=_tell)
-        print(f"written: {out / SPEED}")
+        meshes = [] if objects is None else mesh_files(objects)
+        measured = run_speed(out / SPEED, quick=quick, meshes=meshes, tell=_tell)
+        print(json.dumps(measured) if as_json else f"written: {out / SPEED}")
         return 0
     if name not in EXPERIMENTS:
         raise UnknownNameError("experiment", name, (*EXPERIMENTS, SPEED))
@@ -90,9 +95,12 @@ def run_bench(
     with dask_cluster(dask):
         report = EXPERIMENTS[name](session)
     folder = out / report.name
-    write_report(report, folder)
+    summary = write_report(report, folder)
     write_document(out, out / DOCUMENT)
-    _print(report, folder)
+    if as_json:
+        print(json.dumps(summary))
+    else:
+        _print(report, folder)
     return 0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,13 +11,15 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from regrasp_opt.cli.output import make_console
+from regrasp_opt.cli.output import make_console, working
 from regrasp_opt.cli.poses import describe_pose, parse_pose
 from regrasp_opt.conventions import as_seed
 from regrasp_opt.errors import RegraspError
 from regrasp_opt.planning import RegraspPlan, RegraspProblem, solve_sequence
 from regrasp_opt.planning.plan_file import plan_summary
 from regrasp_opt.planning.tasks import Task, random_task
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -47,16 +50,24 @@ def run_plan(request: PlanRequest, *, out: Path | None, html: Path | None, as_js
         scale=request.scale,
         repair=request.repair,
     )
-    task = _task(request, problem)
-    plan = solve_sequence(
-        problem,
-        task.start,
-        task.goal,
-        request.refiner,
-        max_regrasps=request.max_regrasps,
-        seed=request.seed,
-        time_limit=request.time_limit,
+    logger.info(
+        "%d grasps, %d placements, model %s", len(problem.grasps), len(problem.placements), problem.model_folder
     )
+    limit = "" if request.time_limit is None else f", at most {request.time_limit:g} s"
+    with working(f"planning up to {request.max_regrasps} regrasp(s){limit}"):
+        task = _task(request, problem)
+        plan = solve_sequence(
+            problem,
+            task.start,
+            task.goal,
+            request.refiner,
+            max_regrasps=request.max_regrasps,
+            seed=request.seed,
+            time_limit=request.time_limit,
+        )
+    for tried in plan.refiner_stats:
+        logger.info("tried %s", ", ".join(f"{key} {value}" for key, value in tried.items()))
+    logger.info("%s; seconds: %s", plan.status.name.lower(), {k: round(v, 3) for k, v in plan.timings.items()})
     if out is not None:
         plan.save(out)
     if html is not None:

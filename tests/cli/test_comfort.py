@@ -1,0 +1,108 @@
+"""What makes the commands pleasant: completion, colours only where wanted, logs on demand, quiet pipes."""
+
+import logging
+import os
+import pty
+import re
+import subprocess
+import sys
+
+import pytest
+from command import ROOT, as_process, in_process
+
+from regrasp_opt.cli import completion
+from regrasp_opt.cli.app import app
+
+
+@pytest.mark.parametrize(
+    ("line", "offered"),
+    [
+        ("regrasp-opt pre", {"prepare"}),
+        ("regrasp-opt plan --object b", {"bottle"}),
+        ("regrasp-opt plan --workcell nova2-r", {"nova2-r85", "nova2-r140"}),
+        ("regrasp-opt plan --refiner langevin", {"langevin", "langevin-ipopt"}),
+        ("regrasp-opt bench one", {"one-step"}),
+        ("regrasp-opt export mug", {"mug-nova2-w"}),
+    ],
+)
+def test_the_shell_completes_names(line, offered, capsys, monkeypatch):
+    words = line.split()
+    monkeypatch.setenv("_REGRASP_OPT_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", line)
+    monkeypatch.setenv("COMP_CWORD", str(len(words) - 1))
+    with pytest.raises(SystemExit):
+        app(prog_name="regrasp-opt")
+    assert set(capsys.readouterr().out.split()) == offered
+
+
+def test_the_names_offered_are_those_that_are_known():
+    from regrasp_opt.cli.bench import EXPERIMENTS, SPEED
+    from regrasp_opt.objects import OBJECT_NAMES
+    from regrasp_opt.planning.recipes import RECIPES
+
+    assert set(completion.OBJECTS) == set(OBJECT_NAMES)
+    assert set(completion.EXPERIMENTS) == {*EXPERIMENTS, SPEED}
+    assert set(completion.REFINERS) == set(RECIPES)
+
+
+def on_a_terminal(script, **environment):
+    """Run Python code with stdout and stderr on a pseudo terminal; return what it shows."""
+    parent, child = pty.openpty()
+    variables = {**os.environ, "TERM": "xterm-256color", "PYTHONPATH": str(ROOT), **environment}
+    done = subprocess.run([sys.executable, "-c", script], stdout=child, stderr=child, env=variables, check=False)
+    os.close(child)
+    shown = b""
+    while True:
+        try:
+            part = os.read(parent, 65536)
+        except OSError:  # the other side is closed and everything was read
+            break
+        if not part:
+            break
+        shown += part
+    os.close(parent)
+    assert done.returncode == 0, shown
+    return shown.decode()
+
+
+WORK = """
+from regrasp_opt.cli.output import make_console, working
+with working("planning"):
+    pass
+make_console().print("[bold green]solved[/]")
+"""
+
+
+def test_progress_and_colours_are_shown_on_a_terminal_and_can_be_turned_off():
+    shown = on_a_terminal(WORK)
+    assert "planning" in shown and "0:00:00" in shown and re.search(r"\x1b\[1;32m", shown)
+    plain = on_a_terminal(WORK, NO_COLOR="1")
+    assert "solved" in plain and not re.search(r"\x1b\[[\d;]*3\dm", plain)
+
+
+def test_a_pipe_gets_the_result_only(tmp_path):
+    outcome = as_process("plan", "--refiner", "lattice", cwd=tmp_path)
+    assert outcome.code == 0 and outcome.err == "" and "\x1b" not in outcome.out
+
+
+def test_verbose_logs_what_was_tried(capsys, caplog):
+    with caplog.at_level(logging.INFO):
+        assert in_process(capsys, "--verbose", "plan", "--refiner", "lattice", "--json").code == 0
+    said = "\n".join(record.getMessage() for record in caplog.records)
+    assert "200 grasps, 5 placements" in said and "tried num_regrasps 1" in said and "solved; seconds" in said
+
+
+@pytest.mark.parametrize("command", ["plan", "prepare", "check", "show", "export", "bench"])
+def test_every_help_has_an_example(capsys, command):
+    assert f"regrasp-opt {command} " in re.sub(
+        r"\s+", " ", in_process(capsys, command, "--help").out.split("Usage:")[1][40:]
+    )
+
+
+def test_show_writes_a_page(capsys, tmp_path):
+    plan, page = tmp_path / "plan.json", tmp_path / "page.html"
+    assert in_process(capsys, "plan", "--refiner", "lattice", "--out", plan).code == 0
+    outcome = in_process(capsys, "show", plan, "--html", page)
+    assert (outcome.code, outcome.out, outcome.err) == (0, f"written: {page}\n", "")
+    assert "bottle in nova2-w" in page.read_text("utf-8")
+    assert in_process(capsys, "show", tmp_path / "none.json").code == 2
