@@ -220,6 +220,7 @@ def motion(
 @app.command()
 def show(
     plan: PlanArgument,
+    motion: Annotated[Path | None, typer.Option(help="A motion of the plan, saved by 'motion --out'.")] = None,
     html: Annotated[Path | None, typer.Option(help="Write one page that needs no network, and end.")] = None,
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the live view.")] = 8080,
 ) -> int:
@@ -229,11 +230,11 @@ def show(
     --------
     regrasp-opt show plan.json
 
-    regrasp-opt show plan.json --html plan.html
+    regrasp-opt show plan.json --motion motion.json --html motion.html
     """
     from regrasp_opt.cli.show import run_show
 
-    return run_show(plan, html=html, port=port)
+    return run_show(plan, motion=motion, html=html, port=port)
 
 
 @app.command()

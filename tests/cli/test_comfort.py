@@ -1,5 +1,6 @@
 """What makes the commands pleasant: completion, colours only where wanted, logs on demand, quiet pipes."""
 
+import json
 import logging
 import os
 import pty
@@ -8,7 +9,7 @@ import subprocess
 import sys
 
 import pytest
-from command import ROOT, as_process, in_process
+from command import ROOT, as_process, assert_refused, in_process
 
 from regrasp_opt.cli import completion
 from regrasp_opt.cli.app import app
@@ -92,7 +93,7 @@ def test_verbose_logs_what_was_tried(capsys, caplog):
     assert "200 grasps, 5 placements" in said and "tried num_regrasps 1" in said and "solved; seconds" in said
 
 
-@pytest.mark.parametrize("command", ["plan", "prepare", "check", "show", "export", "bench"])
+@pytest.mark.parametrize("command", ["plan", "prepare", "check", "motion", "show", "export", "bench"])
 def test_every_help_has_an_example(capsys, command):
     assert f"regrasp-opt {command} " in re.sub(
         r"\s+", " ", in_process(capsys, command, "--help").out.split("Usage:")[1][40:]
@@ -106,3 +107,19 @@ def test_show_writes_a_page(capsys, tmp_path):
     assert (outcome.code, outcome.out, outcome.err) == (0, f"written: {page}\n", "")
     assert "bottle in nova2-w" in page.read_text("utf-8")
     assert in_process(capsys, "show", tmp_path / "none.json").code == 2
+    assert_refused(in_process(capsys, "show", plan, "--motion", plan, "--html", page), "is no motion of schema")
+
+
+def test_show_writes_a_page_of_a_motion(capsys, tmp_path):
+    plan, motion, page = (tmp_path / name for name in ("plan.json", "motion.json", "page.html"))
+    assert in_process(capsys, "plan", "--refiner", "lattice", "--out", plan).code == 0
+    assert in_process(capsys, "motion", plan, "--out", motion).code == 0
+    assert in_process(capsys, "show", plan, "--motion", motion, "--html", page).code == 0
+    held = json.loads(re.search(r'type="application/json">(.*?)</script>', page.read_text("utf-8"), re.S)[1])
+    seconds = sum(s["times"][-1] for s in json.loads(motion.read_text("utf-8"))["segments"])
+    assert held["seconds"] == pytest.approx(seconds)
+    assert 25 * seconds <= len(held["steps"]) <= 25 * seconds + 20
+    assert {"move 0: reach", "move 0: transfer", "move 1: retreat"} <= {step["label"] for step in held["steps"]}
+    other = tmp_path / "other.json"
+    assert in_process(capsys, "plan", "--refiner", "lattice", "--seed", 5, "--out", other).code == 0
+    assert_refused(in_process(capsys, "show", other, "--motion", motion, "--html", page), "is not a motion of the plan")
