@@ -21,6 +21,7 @@ from selenium.webdriver.common.by import By
 from regrasp_opt import RegraspPlan, RegraspProblem, solve_sequence
 from regrasp_opt.cli.poses import parse_pose
 from regrasp_opt.viz import write_plan_page
+from regrasp_opt.viz.plots import plot_cost_landscape, plot_pose_distribution
 
 IMAGES = Path(__file__).parent / "images"
 START, GOAL = "1:0.26,0.40,-30", "0:-0.26,0.40,10"
@@ -62,7 +63,7 @@ def photograph(browser: webdriver.Chrome, width: int, height: int) -> Image.Imag
 
 
 def main() -> None:
-    """Write ``plan.png``, the four steps of a plan, and ``page.png``, the page with grasps and cost."""
+    """Write pictures of a plan: its steps, the page, the cost over the table and over all lattice poses."""
     plan = solve()
     print(plan.status.name, np.round(plan.xi, 3).tolist())
     IMAGES.mkdir(exist_ok=True)
@@ -85,12 +86,15 @@ def main() -> None:
                 panels.append(photograph(browser, 520, 480))
         finally:
             browser.quit()
-    figure, axes = plt.subplots(1, len(panels), figsize=(16, 3.95), layout="constrained")
+    figure, axes = plt.subplots(1, len(panels), figsize=(16, 4.1), layout="constrained")
+    figure.get_layout_engine().set(h_pad=0.08)
     for ax, panel, caption in zip(axes, panels, CAPTIONS, strict=True):
         ax.imshow(panel)
         ax.set_title(caption, fontsize=14)
         ax.axis("off")
     figure.savefig(IMAGES / "plan.png", dpi=100)
+    plot_cost_landscape(plan).savefig(IMAGES / "landscape.png", dpi=100)
+    plot_pose_distribution(plan).savefig(IMAGES / "poses.png", dpi=100)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ STEP = 0.02
 
 
 class CostField(NamedTuple):
-    """`J_seq` where intermediate pose `number` (1 to N) is moved over the table, turned as it is.
+    """`J_seq` where intermediate pose `number` (1 to N) is moved over the table at one angle.
 
     Attributes
     ----------
@@ -46,15 +46,15 @@ def grasp_energies(plan: RegraspPlan) -> list[FloatArray]:
     return [energies[i : i + 2, t.grasp_ids].sum(axis=0) for i, t in enumerate(plan.transitions)]
 
 
-def cost_field(plan: RegraspPlan, number: int) -> CostField:
+def cost_field(plan: RegraspPlan, number: int, turn: float = 0.0) -> CostField:
     """Return the cost of moving intermediate pose `number` (1 to N), with exact feasibility at start and goal (Eq. 5).
 
-    The workspace is covered at steps of `STEP`; the angle of the pose stays.
+    The workspace is covered at steps of `STEP`; the pose keeps its angle, or is turned by `turn` [rad].
     """
     problem = plan.problem
     low, high = problem.workcell.bounds.array
     x, y = (np.linspace(a, b, round((b - a) / STEP) + 1) for a, b in zip(low, high, strict=True))
-    placement, theta = int(plan.placements[number - 1]), float(plan.xi[number - 1, 2])
+    placement, theta = int(plan.placements[number - 1]), float(plan.xi[number - 1, 2]) + turn
     xi = np.stack([*np.meshgrid(x, y), np.full((len(y), len(x)), theta)], axis=-1).reshape(-1, 3)
     learned = problem.energy(planar_transform(xi) @ problem.placement_poses[placement], np.float32)
     moved = block(learned, problem.table_rule(np.full(len(xi), placement), xi))

@@ -69,7 +69,7 @@ class PlanScene:
         The object at the plan's poses.
     object_surface, mark : Surface
         The object in its own frame, and what marks a grasp in the TCP frame.
-    states : (M, bodies, 7) float32
+    states : (M, bodies, 7)
         Poses of the moving bodies: position [m] and quaternion (x, y, z, w).
     steps : tuple of Step
     seconds : float or None
@@ -158,8 +158,7 @@ def _picks_and_places(plan: RegraspPlan) -> tuple[FloatArray, list[Step], list[S
     """Return the states in which every shared grasp picks and places, the steps of the clearest, and the grasps."""
     dof, width = plan.problem.workcell.robot.dof, plan.problem.grasps.width
     if not plan.transitions:
-        nowhere = np.zeros((1, dof + 4, 7), dtype=np.float32)
-        nowhere[:] = _states(plan, plan.problem.workcell.robot.home[None], np.zeros(1), plan.poses[:1])
+        nowhere = _states(plan, plan.problem.workcell.robot.home[None], np.zeros(1), plan.poses[:1])
         return nowhere, [Step("start", -1, 0)], []
     energies = grasp_energies(plan) if has_energy(plan) else None
     states, steps, grasps, row = [], [], [], 0
@@ -187,7 +186,8 @@ def scaled_colours(values: FloatArray) -> IntArray:
 def _states(plan: RegraspPlan, q: FloatArray, jaw: FloatArray, T_world_object: FloatArray) -> FloatArray:
     cell = plan.problem.workcell
     bodies = body_poses(cell.robot, cell.T_world_base, q, jaw)
-    return _pose7(np.concatenate([bodies, T_world_object[:, None]], axis=1)).astype(np.float32)
+    poses: FloatArray = _pose7(np.concatenate([bodies, T_world_object[:, None]], axis=1))
+    return poses
 
 
 def _pose7(T: FloatArray) -> FloatArray:

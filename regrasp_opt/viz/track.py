@@ -67,18 +67,21 @@ class Track:
 
 
 def track_of(plan: RegraspPlan, segments: Sequence[_Segment], rate: float = RATE) -> Track:
-    """Return the moments of a motion of `plan`, about `rate` for each second.
+    """Return evenly spaced moments of a motion of `plan`, `rate` or a little more for each second.
 
     `segments` are those of a `MotionPlan`, each with phase, transition, grasp_id, trajectory and jaw. The object rests
     at its pose until a segment holds it, moves with the TCP while one does, and rests at its next pose after that.
     """
     cell, grasps = plan.problem.workcell, plan.problem.grasps
+    total = sum(s.trajectory.duration for s in segments)
+    moments = np.linspace(0.0, total, int(np.ceil(rate * total - 1e-9)) + 1)
     rows: list[tuple[Any, ...]] = []
     began, carried = 0.0, set[int]()
-    for s in segments:
-        times = np.linspace(0.0, s.trajectory.duration, max(2, int(np.ceil(rate * s.trajectory.duration)) + 1))[1:]
-        q = s.trajectory.at(times)
-        jaw = np.linspace(*s.jaw, len(times) + 1)[1:]
+    for number, s in enumerate(segments):
+        duration, last = s.trajectory.duration, number == len(segments) - 1
+        times = moments[(moments >= began) & ((moments < began + duration) | last)]
+        q = s.trajectory.at(times - began)
+        jaw = np.interp(times - began, [0.0, duration], s.jaw)
         if s.phase.holds:
             carried.add(s.transition)
             tcp = cell.T_world_base @ cell.robot.forward(q) @ cell.end_effector.T_flange_tcp
@@ -86,7 +89,7 @@ def track_of(plan: RegraspPlan, segments: Sequence[_Segment], rate: float = RATE
         else:
             T = np.tile(plan.poses[s.transition + (s.transition in carried)], (len(times), 1, 1))
         label = f"move {s.transition}: {s.phase.name.lower()}"
-        rows += [(began + t, label, s.transition, *rest) for t, *rest in zip(times, q, jaw, T, strict=True)]
-        began += s.trajectory.duration
-    times, labels, transitions, q, jaw, T = zip(*rows, strict=True)
-    return Track(np.array(times), labels, transitions, np.array(q), np.array(jaw), np.array(T))
+        rows += [(t, label, s.transition, *rest) for t, *rest in zip(times, q, jaw, T, strict=True)]
+        began += duration
+    columns = list(zip(*rows, strict=True))
+    return Track(np.array(columns[0]), columns[1], columns[2], *(np.array(column) for column in columns[3:]))

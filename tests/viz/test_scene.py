@@ -112,14 +112,15 @@ def test_in_a_motion_the_object_moves_only_with_the_hand(plan):
         Segment(Phase.RETREAT, 0, grasp, Straight(place, place + 0.1), (0.05, 0.08)),
     ]
     found = track.track_of(plan, motion, rate=10.0)
-    assert found.times == pytest.approx(np.arange(1, 16) / 10)
+    assert found.times == pytest.approx(np.arange(16) / 10)
     assert found.labels[0] == "move 0: approach" and found.labels[-1] == "move 0: retreat"
-    assert (found.jaw[[0, 4, 14]] == [0.074, 0.05, 0.08]).all()
-    np.testing.assert_allclose(found.T_world_object[:5], np.tile(plan.poses[0], (5, 1, 1)))
-    np.testing.assert_allclose(found.T_world_object[9:], np.tile(plan.poses[1], (6, 1, 1)), atol=1e-6)
-    assert np.abs(np.diff(found.T_world_object[4:10], axis=0)).max(axis=(1, 2)).min() > 1e-3
+    assert found.jaw[[0, 1, 7, 15]] == pytest.approx([0.08, 0.074, 0.05, 0.08])
+    np.testing.assert_allclose(found.q[7], pick + 0.4 * (place - pick))
+    np.testing.assert_allclose(found.T_world_object[:6], np.tile(plan.poses[0], (6, 1, 1)), atol=1e-6)
+    np.testing.assert_allclose(found.T_world_object[10:], np.tile(plan.poses[1], (6, 1, 1)), atol=1e-6)
+    assert np.abs(np.diff(found.T_world_object[5:11], axis=0)).max(axis=(1, 2)).min() > 1e-3
     shown = scene.plan_scene(plan, found)
-    assert shown.seconds == pytest.approx(1.5) and len(shown.steps) == 15
+    assert shown.seconds == pytest.approx(1.5) and len(shown.steps) == 16
     last = matrices(shown.states[shown.steps[-1].state].astype(float))
     np.testing.assert_allclose(last[-1], plan.poses[1], atol=1e-6)
 

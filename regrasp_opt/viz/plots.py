@@ -1,0 +1,129 @@
+"""Plots of a plan's cost over the poses that were possible, with matplotlib (extra ``viz``).
+
+They use the colours of the page: cost runs from dark to light, and no two things are told apart by hue alone.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from regrasp_opt.connectivity import CostOptions, SequenceObjective
+from regrasp_opt.connectivity.objective import exact_energy
+from regrasp_opt.errors import OptionError
+from regrasp_opt.planning import RegraspPlan
+from regrasp_opt.solvers.lattice import YAWS
+from regrasp_opt.viz.fields import cost_field
+
+COLOURS = "viridis"
+RANGE = 10.0
+"""Costs that are farther than this above the least are drawn alike: there the model expects no shared grasp."""
+
+START, GOAL, HERE = "#0072b2", "#009e73", "#d55e00"
+
+
+def plot_cost_landscape(plan: RegraspPlan, number: int = 1, turns: int = 4) -> Any:
+    """Return a matplotlib figure of `J_seq` (Eq. 5) where intermediate pose `number` is moved and turned.
+
+    Parameters
+    ----------
+    plan : RegraspPlan
+        With at least one regrasp.
+    number : int
+        Which intermediate pose, 1 to N; the others stay.
+    turns : int
+        Panels, each with the pose turned further by ``2 pi / turns``; the first shows it as it is.
+
+    Raises
+    ------
+    OptionError
+        If the plan has no such pose, or matplotlib is not installed.
+    """
+    plt = _pyplot()
+    if not 1 <= number <= plan.num_regrasps:
+        raise OptionError(f"there is no intermediate pose {number}; the plan has {plan.num_regrasps}")
+    angles = 2 * np.pi * np.arange(turns) / turns
+    panels = [cost_field(plan, number, angle) for angle in angles]
+    low = min(float(p.cost.min()) for p in panels)
+    figure, axes = plt.subplots(1, turns, figsize=(3.2 * turns, 2.7), layout="constrained", sharey=True, squeeze=False)
+    for ax, panel, angle in zip(axes[0], panels, angles, strict=True):
+        image = ax.pcolormesh(panel.x, panel.y, panel.cost, vmin=low, vmax=low + RANGE, cmap=COLOURS, shading="nearest")
+        _mark_ends(ax, plan)
+        if angle == 0:
+            ax.plot(*panel.here, "*", color=HERE, markeredgecolor="white", markersize=15, label="plan")
+        ax.set_title(f"turned by {np.degrees(angle):.0f}°")
+        ax.set_xlabel("x [m]")
+        ax.set_aspect("equal")
+    axes[0, 0].set_ylabel("y [m]")
+    axes[0, 0].legend(loc="lower center", ncols=3, fontsize="small")
+    figure.colorbar(image, ax=axes, label="J_seq", extend="max")
+    where = f"placement {plan.placements[number - 1]}"
+    figure.suptitle(f"{plan.problem.object.name}: cost of intermediate pose {number} on {where}")
+    return figure
+
+
+def plot_pose_distribution(plan: RegraspPlan) -> Any:
+    """Return a matplotlib figure of `J_seq` of single intermediate poses of the lattice, after the paper's Fig. 6.
+
+    Each arrow is a pose between the plan's start and goal: it begins at (x, y), points along the yaw that is best
+    there, and is coloured by cost; there is one panel for each stable placement.
+
+    Parameters
+    ----------
+    plan : RegraspPlan
+
+    Raises
+    ------
+    OptionError
+        If matplotlib is not installed.
+    """
+    plt = _pyplot()
+    problem, lattice = plan.problem, plan.problem.lattice
+    start, goal = (exact_energy(problem.feasible_grasps(plan.poses[i])) for i in (0, -1))
+    objective = SequenceObjective(
+        problem.energy,
+        problem.placement_poses,
+        start,
+        goal,
+        problem.workcell.bounds.array,
+        CostOptions(),
+        problem.table_rule,
+    )
+    cost = objective.cost(lattice.placements[:, None], lattice.xi[:, None], np.float32).reshape(-1, YAWS)
+    best = np.arange(len(cost)) * YAWS + cost.argmin(axis=1)
+    placements, xi, cost = lattice.placements[best], lattice.xi[best], cost.min(axis=1)
+    low = float(cost.min())
+    count = len(problem.placements)
+    figure, axes = plt.subplots(1, count, figsize=(3.0 * count, 2.5), layout="constrained", sharey=True, squeeze=False)
+    for number, ax in enumerate(axes[0]):
+        here = placements == number
+        x, y, yaw = xi[here].T
+        arrows = ax.quiver(
+            x, y, np.cos(yaw), np.sin(yaw), cost[here],
+            cmap=COLOURS, clim=(low, low + RANGE), angles="xy", scale=17, width=0.009,
+        )  # fmt: skip
+        _mark_ends(ax, plan)
+        ax.set_title(f"placement {number}: best {cost[here].min():.1f}")
+        ax.set_xlabel("x [m]")
+        ax.set_aspect("equal")
+    axes[0, 0].set_ylabel("y [m]")
+    axes[0, 0].legend(loc="lower center", ncols=2, fontsize="small")
+    figure.colorbar(arrows, ax=axes, label="J_seq", extend="max")
+    figure.suptitle(f"{problem.object.name}: cost of one intermediate pose, by stable placement")
+    return figure
+
+
+def _mark_ends(ax: Any, plan: RegraspPlan) -> None:
+    center = np.append(plan.problem.object.center_of_mass, 1.0)
+    for T, name, marker, colour in ((plan.poses[0], "start", "s", START), (plan.poses[-1], "goal", "o", GOAL)):
+        x, y = (T @ center)[:2]
+        ax.plot(x, y, marker, color=colour, markeredgecolor="white", markersize=9, label=name, linestyle="none")
+
+
+def _pyplot() -> Any:
+    try:
+        import matplotlib.pyplot as plt
+    except ImportError as error:
+        raise OptionError("plots need matplotlib; install 'regrasp-opt[viz]'") from error
+    return plt
