@@ -43,7 +43,7 @@ class SharedGrasps(NamedTuple):
     colours : (K, 3) uint8
         By energy, or by clearance where there is none.
     best : int
-        Which of them the steps show first: the clearest.
+        Which of them the steps show first: the clearest, or the one that the motion uses.
     first_state : int
         Row of the states in which the first of them picks; the next row is its place, then comes the next grasp.
     """
@@ -121,6 +121,9 @@ def plan_scene(plan: RegraspPlan, track: Track | None = None) -> PlanScene:
     if track is not None:
         moved = track.labels, track.transitions, range(len(states), len(states) + len(track.times))
         steps = [Step(*row) for row in zip(*moved, strict=True)]
+        used = dict(zip(track.transitions, track.grasp_ids, strict=True))
+        for i, grasp_id in used.items():
+            grasps[i] = grasps[i]._replace(best=grasps[i].ids.tolist().index(grasp_id))
         states = np.concatenate([states, _states(plan, track.q, track.jaw, track.T_world_object)])
     names = ["start", *(f"pose {i}" for i in range(1, plan.num_regrasps + 1)), "goal"]
     colours = [COLOURS.get(name, COLOURS["intermediate"]) for name in names]

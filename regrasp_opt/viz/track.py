@@ -52,6 +52,8 @@ class Track:
     labels : tuple of str
         The transition and what the arm is doing.
     transitions : tuple of int
+    grasp_ids : tuple of int
+        Numbers into ``problem.grasps`` of the grasp that each moment's transition uses.
     q : (M, dof)
     jaw : (M,)
         Opening of the jaw [m].
@@ -61,6 +63,7 @@ class Track:
     times: FloatArray
     labels: tuple[str, ...]
     transitions: tuple[int, ...]
+    grasp_ids: tuple[int, ...]
     q: FloatArray
     jaw: FloatArray
     T_world_object: FloatArray
@@ -89,7 +92,7 @@ def track_of(plan: RegraspPlan, segments: Sequence[_Segment], rate: float = RATE
         else:
             T = np.tile(plan.poses[s.transition + (s.transition in carried)], (len(times), 1, 1))
         label = f"move {s.transition}: {s.phase.name.lower()}"
-        rows += [(t, label, s.transition, *rest) for t, *rest in zip(times, q, jaw, T, strict=True)]
+        rows += [(t, label, s.transition, s.grasp_id, *rest) for t, *rest in zip(times, q, jaw, T, strict=True)]
         began += duration
-    columns = list(zip(*rows, strict=True))
-    return Track(np.array(columns[0]), columns[1], columns[2], *(np.array(column) for column in columns[3:]))
+    seconds, labels, transitions, grasp_ids, *arrays = zip(*rows, strict=True)
+    return Track(np.array(seconds), labels, transitions, grasp_ids, *(np.array(each) for each in arrays))

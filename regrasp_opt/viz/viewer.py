@@ -121,7 +121,7 @@ class PlanViewer:
         shared, k = self._scene.grasps[transition], self._chosen[transition]
         energy = "" if np.isnan(shared.energies[k]) else f"energy {shared.energies[k]:.3f}, "
         clearance = f"clearance {1e3 * shared.clearance[k]:.1f} mm"
-        return f"grasp {shared.ids[k]}, one of {len(shared.ids)} shared: {energy}{clearance}. Click another."
+        return f"grasp {shared.ids[k]}, one of {len(shared.ids)} shared: {energy}{clearance}"
 
     def _add_controls(self) -> None:
         gui, scene = self._server.gui, self._scene
@@ -163,7 +163,8 @@ class PlanViewer:
             colour = (214, 26, 26) if k == self._chosen[transition] else tuple(shared.colours[k].tolist())
             name = f"{parent}/grasp {grasp_id}"
             handle = self._placed_mesh(name, self._scene.mark, colour, self._scene.marks[grasp_id])
-            handle.on_click(lambda _, k=k: self.choose(transition, k))
+            if self._scene.seconds is None:  # a motion has its grasps
+                handle.on_click(lambda _, k=k: self.choose(transition, k))
             self._marks.append(handle)
 
     def _add_field(self, number: int) -> Any:

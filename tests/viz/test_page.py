@@ -100,7 +100,6 @@ def test_play_reaches_the_end(shown):
     from selenium.webdriver.support.ui import WebDriverWait
 
     element(shown, "play").click()
-    assert element(shown, "play").text == "Pause"
     WebDriverWait(shown, 60).until(lambda d: d.execute_script("return plan.step") == 3)
     WebDriverWait(shown, 60).until(lambda _: element(shown, "play").text == "Play")
 

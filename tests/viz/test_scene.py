@@ -105,12 +105,13 @@ class Segment:
 
 def test_in_a_motion_the_object_moves_only_with_the_hand(plan):
     t = plan.transitions[0]
-    pick, place, grasp = t.q_pick[0], t.q_place[0], int(t.grasp_ids[0])
+    pick, place, grasp = t.q_pick[1], t.q_place[1], int(t.grasp_ids[1])
     motion = [
         Segment(Phase.APPROACH, 0, grasp, Straight(pick + 0.1, pick), (0.08, 0.05)),
         Segment(Phase.TRANSFER, 0, grasp, Straight(pick, place), (0.05, 0.05)),
         Segment(Phase.RETREAT, 0, grasp, Straight(place, place + 0.1), (0.05, 0.08)),
     ]
+    assert grasp != t.grasp_ids[t.clearance.argmax()]
     found = track.track_of(plan, motion, rate=10.0)
     assert found.times == pytest.approx(np.arange(16) / 10)
     assert found.labels[0] == "move 0: approach" and found.labels[-1] == "move 0: retreat"
@@ -120,6 +121,7 @@ def test_in_a_motion_the_object_moves_only_with_the_hand(plan):
     np.testing.assert_allclose(found.T_world_object[10:], np.tile(plan.poses[1], (6, 1, 1)), atol=1e-6)
     assert np.abs(np.diff(found.T_world_object[5:11], axis=0)).max(axis=(1, 2)).min() > 1e-3
     shown = scene.plan_scene(plan, found)
+    assert shown.grasps[0].ids[shown.grasps[0].best] == grasp
     assert shown.seconds == pytest.approx(1.5) and len(shown.steps) == 16
     last = matrices(shown.states[shown.steps[-1].state].astype(float))
     np.testing.assert_allclose(last[-1], plan.poses[1], atol=1e-6)

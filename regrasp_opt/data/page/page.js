@@ -223,11 +223,11 @@
     const energies = g && g.energies[0] !== null;
     element("what").textContent = field ? "J_seq" : energies ? "energy of a grasp" : "clearance [mm]";
     const ends = field ? [field.low, field.high] : g ? g.ends : [null, null];
-    [element("low").textContent, element("high").textContent] = ends.map((x) => x === null ? "-" : String(Number(x.toPrecision(3))));
+    [element("low").textContent, element("high").textContent] = ends.map((x) => x === null ? "-" : String(Number(x.toFixed(3))));
     redraw();
   }
   const describe = (g, k) => `grasp ${g.ids[k]}, one of ${g.ids.length} shared: energy ${number(g.energies[k], 3)}, ` +
-    `clearance ${number(1e3 * g.clearance[k], 1)} mm. Click another.`;
+    `clearance ${number(1e3 * g.clearance[k], 1)} mm.${moves ? "" : " Click another."}`;
   function choose(transition, k) { chosen[transition] = k; show(step); }
   element("title").textContent = scene.title;
   element("subtitle").textContent = scene.subtitle;
@@ -284,7 +284,7 @@
   canvas.addEventListener("pointerup", (event) => {
     const still = grip && Math.hypot(event.clientX - grip.from[0], event.clientY - grip.from[1]) < 4;
     grip = null;
-    if (still) pick(event.clientX, event.clientY);
+    if (still && !moves) pick(event.clientX, event.clientY);
   });
   canvas.addEventListener("wheel", (event) => {
     event.preventDefault();
