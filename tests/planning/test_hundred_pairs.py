@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from plan_recheck import Recheck
 
 from regrasp_opt import RegraspProblem, Status, solve_sequence
+from regrasp_opt.benchmarks.recheck import Recheck
 from regrasp_opt.conventions import planar_transform
 from regrasp_opt.planning.tasks import random_task
 from regrasp_opt.solvers import NlpRefiner
