@@ -6,7 +6,6 @@ same checks. Frames and axes of the file are kept.
 
 from __future__ import annotations
 
-import struct
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +13,9 @@ import trimesh
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
-from trimesh.exchange.stl import HeaderError
 
 from regrasp_opt.errors import MeshError, OptionError
-
-MESH_SUFFIXES = (".stl", ".obj", ".ply", ".glb")
-"""The file formats that are read."""
+from regrasp_opt.mesh_files import quiet_trimesh, read_triangles
 
 LARGEST, SMALLEST = 2.0, 0.005
 """Longest extents beyond which the file is taken to be in another unit [m]."""
@@ -32,12 +28,6 @@ MERGE_DISTANCE = 1e-5
 
 LARGEST_PATCH = 0.25
 """Largest share of the surface that a repair may invent to close holes."""
-
-UNREADABLE = (
-    OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, AssertionError, NotImplementedError,
-    RuntimeError, EOFError, ImportError, MemoryError, struct.error, HeaderError,
-)  # fmt: skip
-"""What the readers of the several formats raise on a broken file."""
 
 
 def read_mesh(path: Path, *, scale: float = 1.0, repair: bool = False) -> trimesh.Trimesh:
@@ -62,15 +52,13 @@ def read_mesh(path: Path, *, scale: float = 1.0, repair: bool = False) -> trimes
     """
     if not (np.isfinite(scale) and scale > 0):
         raise OptionError(f"scale is {scale}; give a positive number of metres per unit of the file")
-    vertices, faces = _read(path)
-    if len(faces) == 0:
-        raise MeshError(f"{path} holds no triangles; give a surface mesh")
-    if not np.isfinite(vertices).all():
-        raise MeshError(f"{path} has vertices that are NaN or infinite; export the mesh again")
-    vertices = vertices * scale
-    _check_size(path, float(np.ptp(vertices[np.unique(faces)], axis=0).max()), scale)
+    vertices, faces = read_triangles(path)
+    with np.errstate(over="ignore", invalid="ignore"):
+        vertices = vertices * scale
+        extent = float(np.ptp(vertices[np.unique(faces)], axis=0).max())
+    _check_size(path, extent, scale)
     mesh = trimesh.Trimesh(vertices, faces, process=True)
-    with np.errstate(divide="ignore", invalid="ignore"):  # the centre of mass of a flat mesh
+    with quiet_trimesh(), np.errstate(divide="ignore", invalid="ignore"):  # the centre of mass of a flat mesh
         if repair:
             mesh = _repaired(path, mesh)
         check_solid(mesh, str(path), repaired=repair)
@@ -95,21 +83,8 @@ def check_solid(mesh: trimesh.Trimesh, where: str, *, repaired: bool = False) ->
         )
 
 
-def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    if path.suffix.lower() not in MESH_SUFFIXES:
-        raise MeshError(f"{path} is no mesh file that can be read; give one of {', '.join(MESH_SUFFIXES)}")
-    if not path.is_file():
-        raise MeshError(f"mesh file {path} does not exist; give the path of an STL, OBJ, PLY or GLB file")
-    try:
-        loaded = trimesh.load_mesh(path, process=False)
-    except UNREADABLE as error:
-        raise MeshError(f"{path} is corrupt, truncated or no mesh file; export it again") from error
-    vertices = np.asarray(getattr(loaded, "vertices", np.zeros((0, 3))), dtype=np.float64)
-    return vertices, np.asarray(getattr(loaded, "faces", np.zeros((0, 3))), dtype=np.int64)
-
-
 def _check_size(path: Path, extent: float, scale: float) -> None:
-    if extent > LARGEST:
+    if not extent <= LARGEST:
         raise MeshError(f"{path} is {extent:.4g} m long and looks like millimetres; pass --scale {scale * 0.001:g}")
     if extent < SMALLEST:
         raise MeshError(

@@ -13,7 +13,8 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from regrasp_opt.errors import WorkcellError
+from regrasp_opt.errors import MeshError, WorkcellError
+from regrasp_opt.mesh_files import MESH_SUFFIXES, read_triangles
 
 PREFERRED_TIPS = ("tool0", "flange", "ee_link")
 """Link names taken as the tip, the first one present, when none is asked for."""
@@ -166,7 +167,7 @@ def settle_meshes(root: ET.Element, path: Path, package_dirs: Iterable[str | os.
     Raises
     ------
     WorkcellError
-        If a mesh file is not found.
+        If a mesh file is not found or broken.
     """
     folders = [*map(Path, package_dirs), *path.resolve().parents]
     for mesh in root.iterfind("link/collision/geometry/mesh"):
@@ -182,7 +183,17 @@ def settle_meshes(root: ET.Element, path: Path, package_dirs: Iterable[str | os.
         found = next((candidate for candidate in candidates if candidate.is_file()), None)
         if found is None:
             raise WorkcellError(f"{path}: mesh '{name}' is not found; name the folder of its package in package_dirs")
+        if found.suffix.lower() in MESH_SUFFIXES:
+            _check_mesh(found, path)
         mesh.set("filename", str(found.resolve()))
+
+
+def _check_mesh(file: Path, path: Path) -> None:
+    """Raise a WorkcellError if a mesh is broken: the library that reads it for Pinocchio may crash on such a file."""
+    try:
+        read_triangles(file)
+    except MeshError as error:
+        raise WorkcellError(f"{path}: a collision mesh cannot be used: {error}") from error
 
 
 def closest(name: str, known: Iterable[str]) -> list[str]:

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import os
-import re
 import sys
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
-import trimesh
 from pydantic import ValidationError
 
 from regrasp_opt.conventions import FloatArray, rotation_rpy, translation
 from regrasp_opt.end_effectors import END_EFFECTOR_NAMES, EndEffector, load_end_effector
-from regrasp_opt.errors import UnknownNameError, WorkcellError
+from regrasp_opt.errors import MeshError, UnknownNameError, WorkcellError
+from regrasp_opt.mesh_files import read_triangles
 from regrasp_opt.robots import Robot, load_robot
 from regrasp_opt.shapes import Box, Cylinder, Mesh, Shape
 from regrasp_opt.workcell.home import collision_at_home
@@ -28,6 +27,10 @@ else:
 
 WORKCELL_NAMES = tuple(f"nova2-{name}" for name in END_EFFECTOR_NAMES)
 """The built-in workcells: the Nova2 with each of the built-in end-effectors."""
+
+
+LARGEST_OBSTACLE = 100.0
+"""A mesh with a coordinate beyond this is taken to be in another unit [m]."""
 
 
 def load_workcell(
@@ -171,11 +174,10 @@ def _mesh(section: ObstacleSection, path: Path, pose: FloatArray) -> Mesh:
     if not file.is_file():
         raise WorkcellError(f"{where} is not there; give a path relative to the workcell file")
     try:
-        mesh = trimesh.load(file, force="mesh")
-    except (ValueError, IndexError, KeyError, NotImplementedError, TypeError) as error:
-        reason = re.sub(r"\s+", " ", str(error))
-        raise WorkcellError(f"{where} cannot be read: {reason}; give an STL, OBJ, PLY or GLB file") from error
-    if not len(mesh.faces):
-        raise WorkcellError(f"{where} has no triangles; give a surface mesh")
-    vertices = np.array(mesh.vertices, dtype=np.float64) * (section.scale or 1.0)
-    return Mesh(section.name, vertices, np.array(mesh.faces, dtype=np.int64), pose)
+        vertices, faces = read_triangles(file)
+    except MeshError as error:
+        raise WorkcellError(f"{where} cannot be read: {error}") from error
+    vertices = vertices * (section.scale or 1.0)
+    if not np.abs(vertices).max() < LARGEST_OBSTACLE:
+        raise WorkcellError(f"{where} reaches beyond {LARGEST_OBSTACLE:g} m; give a scale")
+    return Mesh(section.name, vertices, faces, pose)
