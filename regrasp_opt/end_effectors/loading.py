@@ -167,9 +167,9 @@ def describe(error: ValidationError, schema: type[BaseModel]) -> str:
     location = problem["loc"]
     parent = _schema_at(schema, location[:-1])
     key = ".".join(str(part) for part in location)
-    if problem["type"] == "extra_forbidden":
+    if parent is not None and problem["type"] == "extra_forbidden":
         return f"unknown key '{key}'; allowed: {', '.join(parent.model_fields)}"
-    if problem["type"] == "missing":
+    if parent is not None and problem["type"] == "missing":
         return f"key '{key}' is missing; needed here: {', '.join(_required(parent))}"
     message = problem["msg"].removeprefix("Value error, ")
     given = problem["input"]
@@ -181,10 +181,14 @@ def _required(schema: type[BaseModel]) -> list[str]:
     return [name for name, field in schema.model_fields.items() if field.is_required()]
 
 
-def _schema_at(schema: type[BaseModel], location: tuple[int | str, ...]) -> type[BaseModel]:
+def _schema_at(schema: type[BaseModel], location: tuple[int | str, ...]) -> type[BaseModel] | None:
+    """Return the schema of the table at `location`; None where that is a value, such as an interval."""
     for part in location:
         if isinstance(part, str):
-            schema = _schemas_in(schema.model_fields[part].annotation)[0]
+            inner = _schemas_in(schema.model_fields[part].annotation)
+            if not inner:
+                return None
+            schema = inner[0]
     return schema
 
 

@@ -110,6 +110,8 @@ def test_a_file_is_read_like_a_built_in(tmp_path: Path) -> None:
         ("max_opening = 0.1", "max_opening = 0.1\ncup_radius = 0.01", "no key 'cup_radius'"),
         ("z = [0.0, 0.08]", "z = [0.08, 0.0]", "low < high"),
         ("z = [0.0, 0.08]", "w = [0.0, 0.08]", "body.0.box"),
+        ("z = [0.0, 0.08]", "z = [0.0, nan]", "'body.0.box.z.1'"),
+        ("z = [0.0, 0.08]", "z = [0.0]", "'body.0.box.z.1'"),
         ("z = [0.0, 0.08] }", "z = [0.0, 0.08], q = 1 }", "unknown key 'body.0.box.q'; allowed: x, y, z"),
         ("y = [0.0, 0.01]", "y = [-0.1, 0.01]", "wrong.toml' reaches below y = 0"),
         ("kind =", "kind", "not valid TOML"),
