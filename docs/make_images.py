@@ -19,7 +19,7 @@ from selenium import webdriver
 from selenium.webdriver.common.by import By
 
 from regrasp_opt import RegraspPlan, RegraspProblem, solve_sequence
-from regrasp_opt.cli.poses import parse_pose
+from regrasp_opt.planning.pose_text import parse_pose
 from regrasp_opt.viz import write_plan_page
 from regrasp_opt.viz.plots import plot_cost_landscape, plot_pose_distribution
 

@@ -12,11 +12,11 @@ from rich.markup import escape
 from rich.table import Table
 
 from regrasp_opt.cli.output import make_console, working
-from regrasp_opt.cli.poses import describe_pose, parse_pose
 from regrasp_opt.conventions import as_seed
 from regrasp_opt.errors import RegraspError
 from regrasp_opt.planning import RegraspPlan, RegraspProblem, solve_sequence
 from regrasp_opt.planning.plan_file import plan_summary
+from regrasp_opt.planning.pose_text import describe_pose, parse_pose
 from regrasp_opt.planning.tasks import Task, random_task
 
 logger = logging.getLogger(__name__)

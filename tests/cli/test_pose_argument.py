@@ -7,9 +7,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from regrasp_opt.cli.poses import parse_pose
 from regrasp_opt.conventions import planar_transform, translation
 from regrasp_opt.errors import PoseError
+from regrasp_opt.planning.pose_text import parse_pose
 
 PLACEMENTS = np.array([np.eye(4), translation(0.0, 0.01, 0.1), np.diag([1.0, -1.0, -1.0, 1.0])])
 STEADY = settings(deadline=None, derandomize=True, max_examples=100)
