@@ -110,14 +110,31 @@ def write_document(folder: Path, path: Path) -> None:
         "",
     ]
     for summary in _summaries(folder):
-        parts += [f"## {summary['title']}", "", summary["text"], "", _provenance(summary), ""]
-        for table in summary["tables"]:
-            parts += [f"### {table['title']}", "", *_markdown(table), ""]
-            parts += [table["note"], ""] if table["note"] else []
-        for error in summary["errors"]:
-            parts += [f"* `{error.get('object', '')}`: {error['error']}", ""]
+        parts += _section(summary, 2)
+    _write_lines(parts, path)
+
+
+def write_page(summary: dict[str, Any], path: Path) -> None:
+    """Write the tables of one experiment, whose `summary` `write_report` returned, to the Markdown file `path`."""
+    lines = _section(summary, 1)
+    said = f"This page is written by `regrasp-opt bench {summary['name']}`."
+    _write_lines([*lines[:2], said, "", *lines[2:]], path)
+
+
+def _section(summary: dict[str, Any], level: int) -> list[str]:
+    heading = "#" * level
+    parts = [f"{heading} {summary['title']}", "", summary["text"], "", _provenance(summary), ""]
+    for table in summary["tables"]:
+        parts += [f"{heading}# {table['title']}", "", *_markdown(table), ""]
+        parts += [table["note"], ""] if table["note"] else []
+    for error in summary["errors"]:
+        parts += [f"* `{error.get('object', '')}`: {error['error']}", ""]
+    return parts
+
+
+def _write_lines(lines: list[str], path: Path) -> None:
     with atomic_path(path) as temporary:
-        temporary.write_text("\n".join(parts).rstrip() + "\n", encoding="utf-8")
+        temporary.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
 
 
 def _summaries(folder: Path) -> list[dict[str, Any]]:

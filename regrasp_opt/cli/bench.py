@@ -20,7 +20,8 @@ from regrasp_opt.benchmarks.multi_step import run_multi_step
 from regrasp_opt.benchmarks.one_step import run_one_step, run_unseen
 from regrasp_opt.benchmarks.parallel import dask_cluster
 from regrasp_opt.benchmarks.refiners import run_refiners
-from regrasp_opt.benchmarks.report import Report, shown, write_document, write_report
+from regrasp_opt.benchmarks.reliability import run_reliability
+from regrasp_opt.benchmarks.report import Report, shown, write_document, write_page, write_report
 from regrasp_opt.benchmarks.session import Session
 from regrasp_opt.benchmarks.speed import run_speed
 from regrasp_opt.benchmarks.subjects import mesh_files
@@ -39,6 +40,7 @@ EXPERIMENTS: dict[str, Callable[[Session], Report]] = {
     "joint": run_joint,
     "embedding": run_embedding,
     "motion": run_motion,
+    "reliability": run_reliability,
 }
 """The experiments by their names on the command line."""
 
@@ -96,6 +98,7 @@ def run_bench(
         report = EXPERIMENTS[name](session)
     folder = out / report.name
     summary = write_report(report, folder)
+    write_page(summary, folder / f"{report.name}.md")
     write_document(out, out / DOCUMENT)
     if as_json:
         print(json.dumps(summary))

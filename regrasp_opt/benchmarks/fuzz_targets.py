@@ -1,0 +1,206 @@
+"""What is fuzzed: each reader of the package with good files of its own, and how these are damaged."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import ParseError
+from zipfile import BadZipFile
+
+import numpy as np
+import trimesh
+
+from regrasp_opt.benchmarks import fuzz_mutations as damage
+from regrasp_opt.benchmarks.recheck import DATA
+from regrasp_opt.benchmarks.reliability_plans import write_obstacles
+from regrasp_opt.conventions import translation
+from regrasp_opt.end_effectors import load_end_effector
+from regrasp_opt.energy.storage import load_energy
+from regrasp_opt.grasps import GraspSet
+from regrasp_opt.objects import load_object
+from regrasp_opt.objects.builtin import build
+from regrasp_opt.planning import RegraspPlan, RegraspProblem, solve_sequence
+from regrasp_opt.planning.pose_text import parse_pose
+from regrasp_opt.robots import load_robot
+from regrasp_opt.workcell import load_workcell
+
+Damage = Callable[[bytes, np.random.Generator], bytes]
+
+
+@dataclass(frozen=True)
+class Target:
+    """A reader under test.
+
+    Attributes
+    ----------
+    read : callable
+        Takes the path of a file; may raise nothing but a `RegraspError`.
+    seeds : callable
+        Returns the good files that are damaged, as (suffix, content); a folder to work in is given.
+    damages : tuple of callables
+        What is done to them, one to three of these in turn.
+    """
+
+    read: Callable[[Path], Any]
+    seeds: Callable[[Path], list[tuple[str, bytes]]]
+    damages: tuple[Damage, ...]
+
+
+def _meshes(folder: Path) -> list[tuple[str, bytes]]:
+    box = trimesh.creation.box((0.04, 0.05, 0.1))
+    ring = trimesh.creation.annulus(0.02, 0.03, 0.05, sections=8)
+    found = [(f".{kind}", _exported(mesh, kind)) for mesh in (box, ring) for kind in ("stl", "obj", "ply", "glb")]
+    return [*found, (".stl", _exported(box, "stl_ascii")), (".stl", _exported(build("pentagon"), "stl"))]
+
+
+def _exported(mesh: trimesh.Trimesh, kind: str) -> bytes:
+    content = mesh.export(file_type=kind)
+    return content if isinstance(content, bytes) else str(content).encode()
+
+
+def _read_mesh(path: Path) -> None:
+    load_object(path, repair=len(path.read_bytes()) % 2 == 0)
+
+
+def _read_obstacle(path: Path) -> None:
+    """Load a workcell, written beside the folder of the file, that has the mesh `path` for an obstacle."""
+    text = (DATA / "workcells" / "nova2-w.toml").read_text("utf-8")
+    text += f'\n[[obstacles]]\ntype = "mesh"\nname = "part"\nposition = [0.5, 0.5, 0.1]\nfile = "{path}"\n'
+    cell = path.parent.parent / "cell.toml"
+    cell.write_text(text, encoding="utf-8")
+    load_workcell(cell)
+
+
+def _read_link(path: Path) -> None:
+    """Load a robot, written beside the folder of the file, whose upper arm has the mesh `path` for a body."""
+    cylinder = '<cylinder radius="0.02" length="0.2"/>'
+    robot = path.parent.parent / "arm.urdf"
+    robot.write_text(_ARM.replace(cylinder, f'<mesh filename="{path}"/>'), encoding="utf-8")
+    load_robot(robot)
+
+
+def _files(kind: str) -> list[tuple[str, bytes]]:
+    return [(".toml", path.read_bytes()) for path in sorted((DATA / kind).glob("*.toml"))]
+
+
+def _workcells(folder: Path) -> list[tuple[str, bytes]]:
+    return [*_files("workcells")[:3], *[(".toml", write_obstacles(folder / "obstacles.toml").read_bytes())] * 3]
+
+
+def _end_effectors(folder: Path) -> list[tuple[str, bytes]]:
+    return _files("end_effectors")
+
+
+_ARM = """<robot name="arm"><link name="base"/>
+<link name="upper"><collision><origin xyz="0 0 0.1"/><geometry><cylinder radius="0.02" length="0.2"/></geometry>
+</collision></link>
+<link name="tool0"><collision><geometry><sphere radius="0.02"/></geometry></collision></link>
+<joint name="a" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" velocity="1" effort="1"/></joint>
+<joint name="b" type="continuous"><parent link="upper"/><child link="tool0"/><origin xyz="0 0 0.2" rpy="0 0.1 0"/>
+<axis xyz="0 1 0"/></joint></robot>"""
+
+
+def _robots(folder: Path) -> list[tuple[str, bytes]]:
+    return [(".urdf", (DATA / "robots/nova2/nova2.urdf").read_bytes()), *[(".urdf", _ARM.encode())] * 2]
+
+
+def _plans(folder: Path) -> list[tuple[str, bytes]]:
+    """Return a plan with few grasps, and what it is when nothing was found."""
+    whole = RegraspProblem.load("bottle", "nova2-w")
+    problem = RegraspProblem.load("bottle", "nova2-w", grasps=whole.grasps.subset(np.arange(0, 200, 20)))
+    ends = whole.pose(0, 0.2, 0.35), whole.pose(0, -0.2, 0.35, 0.3)
+    found = []
+    for goal in (ends[1], whole.pose(2, -0.2, 0.35)):
+        solve_sequence(problem, ends[0], goal, max_regrasps=1).save(folder / "plan.json")
+        found.append((".json", (folder / "plan.json").read_bytes()))
+    return found
+
+
+def _read_plan(path: Path) -> None:
+    RegraspPlan.load(path).residuals()
+
+
+def _energies(folder: Path) -> list[tuple[str, bytes]]:
+    return [
+        (".safetensors", path.read_bytes()) for path in sorted((DATA / "models/bottle-nova2-w").glob("*.safetensors"))
+    ]
+
+
+def _grasps(folder: Path) -> list[tuple[str, bytes]]:
+    return [(".npz", (DATA / "models/bottle-nova2-w/grasps.npz").read_bytes())]
+
+
+_PLACEMENTS = np.array([np.eye(4), translation(0.0, 0.01, 0.1), np.diag([1.0, -1.0, -1.0, 1.0])])
+
+
+def _poses(folder: Path) -> list[tuple[str, bytes]]:
+    matrix = json.dumps(_PLACEMENTS[2].tolist()).encode()
+    return [(".txt", b"2:0.30,0.25,45"), (".txt", b"0:-0.1,4e-1,-720"), (".json", matrix)]
+
+
+def _read_pose(path: Path) -> None:
+    """Read a pose file, or take the content of any other file for what is typed on the command line."""
+    text = str(path) if path.suffix == ".json" else path.read_bytes().decode("utf-8", "surrogateescape")
+    parse_pose(text, "start", _PLACEMENTS)
+
+
+_TEXT = (damage.damage_text, damage.damage_text, damage.damage_text, damage.damage_bytes)
+
+TARGETS: dict[str, Target] = {
+    "mesh": Target(_read_mesh, _meshes, (damage.damage_bytes, damage.damage_text)),
+    "mesh of an obstacle": Target(_read_obstacle, _meshes, (damage.damage_bytes, damage.damage_text)),
+    "mesh of a link": Target(_read_link, _meshes, (damage.damage_bytes, damage.damage_text)),
+    "workcell": Target(load_workcell, _workcells, _TEXT),
+    "end-effector": Target(load_end_effector, _end_effectors, _TEXT),
+    "robot": Target(load_robot, _robots, (damage.damage_xml, damage.damage_text, damage.damage_bytes)),
+    "plan": Target(_read_plan, _plans, (damage.damage_json, damage.damage_json, damage.damage_text)),
+    "energy": Target(load_energy, _energies, (damage.damage_safetensors, damage.damage_bytes)),
+    "grasp set": Target(GraspSet.load, _grasps, (damage.damage_arrays, damage.damage_arrays, damage.damage_bytes)),
+    "pose": Target(_read_pose, _poses, (damage.damage_text, damage.damage_bytes)),
+}
+"""The readers by the name under which they are reported."""
+
+
+TOO_BROKEN = (
+    ValueError, LookupError, TypeError, AttributeError, RecursionError, OSError, EOFError, NotImplementedError,
+    ParseError, BadZipFile, struct.error,
+)  # fmt: skip
+"""What damage that knows a format raises on a file that no longer has it."""
+
+
+@cache
+def seeds(name: str, folder: Path) -> list[tuple[str, bytes]]:
+    """Return the good files of a target; made once a process, in `folder` where that is needed."""
+    return TARGETS[name].seeds(folder)
+
+
+def case(name: str, seed: int, number: int, folder: Path) -> tuple[str, bytes]:
+    """Return suffix and content of the damaged file `number` of a target."""
+    rng = np.random.default_rng([seed, 60, sorted(TARGETS).index(name), number])
+    good = seeds(name, folder)
+    suffix, content = good[rng.integers(len(good))]
+    if rng.random() < 0.03:
+        suffix = good[rng.integers(len(good))][0] if rng.integers(2) else ".stl"
+    for _ in range(int(rng.integers(1, 4))):
+        options = TARGETS[name].damages
+        try:
+            content = options[rng.integers(len(options))](content, rng)
+        except (
+            ValueError,
+            KeyError,
+            TypeError,
+            AttributeError,
+            ParseError,
+            RecursionError,
+            EOFError,
+            struct.error,
+            BadZipFile,
+        ):
+            content = damage.damage_bytes(content, rng)
+    return suffix, content

@@ -1,0 +1,191 @@
+"""The adversarial part of `bench reliability`: no wrong plan may get out, no good one may get lost.
+
+Every trial plans between two random poses, half of the pairs sharing no grasp. All refined candidates are kept that
+the learned energy takes for plans (every pair of neighbours has a grasp whose summed energies are below the threshold
+``h``, Alg. 2), and checked exactly: the share that fails is what an optimiser gains by seeking out the model's
+mistakes. The plan that comes out is proved twice over, by its residuals and by `Recheck`. A trial that ends without a
+plan is asked of the exact grid oracle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from regrasp_opt.benchmarks.hard_tiers import with_obstacles
+from regrasp_opt.benchmarks.instances import Instance, PosePool
+from regrasp_opt.benchmarks.oracle import Oracle
+from regrasp_opt.benchmarks.recheck import DATA, Recheck
+from regrasp_opt.benchmarks.runner import Row
+from regrasp_opt.benchmarks.subjects import resident
+from regrasp_opt.conventions import FloatArray, IntArray
+from regrasp_opt.files import atomic_path
+from regrasp_opt.planning import Recipe, RegraspPlan, RegraspProblem, Transition, solve_sequence
+from regrasp_opt.planning.verification import PoseKnowledge, prove_sequence
+from regrasp_opt.shapes import Box
+from regrasp_opt.solvers import Candidates, NlpRefiner, Refinement
+from regrasp_opt.solvers.base import Refiner
+from regrasp_opt.workcell import Workcell, load_workcell
+
+MAX_REGRASPS = 3
+TIME_LIMIT = 30.0
+"""Seconds after which a trial gives up; it then counts as one without a plan."""
+FEW_GRASPS = 20
+"""Grasps that are left in the trials with few of them."""
+WORKCELLS = ("nova2-w", "nova2-r140", "nova2-s1")
+OBSTACLES = "nova2-w with obstacles"
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What is made hard: the grasps that are left, and whose energy is used."""
+
+    label: str
+    grasps: int | None = None
+    preset: Literal["default", "paper"] = "default"
+
+
+CONDITIONS = (
+    Condition("all grasps"),
+    Condition(f"{FEW_GRASPS} grasps", FEW_GRASPS),
+    Condition("paper's energy", None, "paper"),
+)
+
+
+def workcells(folder: Path, quick: bool) -> Iterator[tuple[str, Workcell]]:
+    """Yield the workcells of the campaign by name; the one with obstacles is written to `folder` as a file."""
+    names = WORKCELLS[:1] if quick else WORKCELLS
+    for name in names:
+        yield name, load_workcell(name)
+    if not quick:
+        yield OBSTACLES, load_workcell(write_obstacles(folder / "obstacles.toml"))
+
+
+def write_obstacles(path: Path) -> Path:
+    """Write the workcell nova2-w with a wall and two posts to `path`, and return its absolute path."""
+    text = (DATA / "workcells" / "nova2-w.toml").read_text("utf-8")
+    for box in with_obstacles(load_workcell("nova2-w")).obstacles:
+        assert isinstance(box, Box)
+        position, size = (", ".join(f"{v:g}" for v in values) for values in (box.pose[:3, 3], box.size))
+        text += f'\n[[obstacles]]\ntype = "box"\nname = "{box.name}"\nposition = [{position}]\nsize = [{size}]\n'
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return path.resolve()
+
+
+def reduced(problem: RegraspProblem, condition: Condition, rng: np.random.Generator) -> tuple[RegraspProblem, IntArray]:
+    """Return `problem` under `condition`, and the numbers of the grasps that are left."""
+    count = len(problem.grasps)
+    ids = np.arange(count)
+    if condition.grasps is not None and condition.grasps < count:
+        ids = np.sort(rng.permutation(count)[: condition.grasps])
+    return replace(problem, grasps=problem.grasps.subset(ids), preset=condition.preset), ids
+
+
+def choose_pairs(pool: PosePool, count: int, rng: np.random.Generator, prefix: str) -> list[Instance]:
+    """Return `count` random pairs of pool poses, every other one with no grasp in common as far as there are such."""
+    rows = pool.feasible.astype(np.float32)
+    apart = np.argwhere((rows @ rows.T) == 0)
+    chosen = []
+    for number in range(count if len(pool.T) > 1 else 0):
+        if number % 2 == 0 and len(apart):
+            i, j = apart[rng.integers(len(apart))]
+        else:
+            i, j = rng.choice(len(pool.T), 2, replace=False)
+        chosen.append(Instance(f"{prefix}/{number}", pool.T[i], pool.T[j], None))
+    return chosen
+
+
+@dataclass(frozen=True)
+class _Recorder:
+    """A refiner that keeps every candidate that another one returned."""
+
+    inner: Refiner
+    kept: list[Candidates] = field(default_factory=list, compare=False)
+
+    @property
+    def name(self) -> str:
+        return self.inner.name
+
+    def refine(self, objective: object, starts: Candidates, rng: np.random.Generator) -> Refinement:
+        refinement = self.inner.refine(objective, starts, rng)  # type: ignore[arg-type]
+        self.kept.append(refinement.candidates)
+        return refinement
+
+
+def trial_rows(problem: RegraspProblem, instances: list[Instance], seed: int) -> list[Row]:
+    """Return one row for each of `instances`."""
+    problem = resident(problem)
+    recheck = Recheck(problem)
+    return [_trial(problem, recheck, instance, seed) for instance in instances]
+
+
+def _trial(problem: RegraspProblem, recheck: Recheck, instance: Instance, seed: int) -> Row:
+    recorder = _Recorder(NlpRefiner())
+    plan = solve_sequence(
+        problem,
+        instance.start,
+        instance.goal,
+        Recipe(recorder),
+        max_regrasps=MAX_REGRASPS,
+        seed=seed,
+        time_limit=TIME_LIMIT,
+    )
+    low, failed = _low_energy(problem, instance, recorder.kept)
+    wrong = wrong_claims(plan, recheck, np.random.default_rng(seed)) if plan.solved else []
+    return {
+        "pair": instance.name,
+        "status": plan.status.name.lower(),
+        "solved": plan.solved,
+        "num_regrasps": plan.num_regrasps if plan.solved else None,
+        "low": low,
+        "low_failed": failed,
+        "wrong": "; ".join(wrong[:3]),
+        "seconds": round(plan.timings["total"], 3),
+    }
+
+
+def wrong_claims(plan: RegraspPlan, recheck: Recheck, rng: np.random.Generator) -> list[str]:
+    """Return what two independent proofs find wrong with a solved plan.
+
+    Residuals cover every grasp; the second path the clearest grasp of each transition and a random one.
+    """
+
+    def rows(transition: Transition) -> set[int]:
+        count = len(transition.grasp_ids)
+        return {int(transition.clearance.argmax()), int(rng.integers(count))} if count else set()
+
+    return [f"residuals: {text}" for text in plan.residuals().problems] + recheck.problems(plan, rows)
+
+
+def _low_energy(problem: RegraspProblem, instance: Instance, kept: list[Candidates]) -> tuple[int, int]:
+    """Return how many candidates the learned energy takes for plans, and how many of these are none."""
+    known: dict[bytes, PoseKnowledge] = {}
+
+    def knowledge(T: FloatArray) -> PoseKnowledge:
+        return known.setdefault(T.tobytes(), PoseKnowledge(problem.checker, T))
+
+    h = problem.energy.model.threshold
+    low = failed = 0
+    for candidates in kept:
+        for placements, xi in zip(candidates.placements, candidates.xi, strict=True):
+            middle = [problem.pose(int(m), *values) for m, values in zip(placements, xi, strict=True)]
+            poses = np.stack([instance.start, *middle, instance.goal])
+            energies = problem.energy(poses)
+            if not ((energies[:-1] + energies[1:]) <= h).any(axis=1).all():
+                continue
+            low += 1
+            chain = [knowledge(T) for T in poses]
+            blocked = any(pose.object_collides for pose in chain[1:-1])
+            failed += blocked or not prove_sequence(chain, energies)
+    return low, failed
+
+
+def minimum_on_grid(problem: RegraspProblem, ids: IntArray, oracle: Oracle, instance: Instance) -> int | None:
+    """Return the fewest regrasps that the grid of the whole `problem` needs with its grasps `ids`, or None."""
+    start, goal = (problem.feasible_grasps(T)[ids] for T in (instance.start, instance.goal))
+    return oracle.with_grasps(ids).minimum_regrasps(start, goal)

@@ -1,0 +1,179 @@
+"""The reliability campaign in small: damage is seeded, outcomes are told apart, figures are those of the rows."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from regrasp_opt import RegraspProblem, solve_sequence
+from regrasp_opt.benchmarks import fuzz_targets, fuzzing
+from regrasp_opt.benchmarks.faults import JOBS, Job, finish, half_files, kill_rows, results
+from regrasp_opt.benchmarks.fuzz_targets import TARGETS, Target, case
+from regrasp_opt.benchmarks.fuzzing import fuzz_rows, read_once
+from regrasp_opt.benchmarks.instances import PosePool
+from regrasp_opt.benchmarks.recheck import Recheck
+from regrasp_opt.benchmarks.reliability_plans import choose_pairs, trial_rows, write_obstacles, wrong_claims
+from regrasp_opt.benchmarks.reliability_tables import branch_coverage, mutants_killed, reliability_tables
+from regrasp_opt.errors import MeshError
+from regrasp_opt.workcell import load_workcell
+
+
+@pytest.mark.parametrize("name", [name for name in TARGETS if name != "plan"])
+def test_readers_take_or_refuse_damaged_files(name, tmp_path):
+    for number in range(12):
+        suffix, content = case(name, 1, number, tmp_path)
+        assert (suffix, content) == case(name, 1, number, tmp_path)
+        outcome = read_once(name, suffix, content, tmp_path)
+        assert outcome in ("read", "refused"), (number, outcome)
+
+
+@pytest.mark.parametrize("name", [name for name in TARGETS if name != "plan"])
+def test_undamaged_files_are_read(name, tmp_path):
+    for suffix, content in fuzz_targets.seeds(name, tmp_path):
+        assert read_once(name, suffix, content, tmp_path) == "read"
+
+
+def test_what_goes_wrong_in_a_reader_is_told_apart(tmp_path, monkeypatch):
+    def read(path):
+        how = path.read_text("utf-8")
+        if how == "refuse":
+            raise MeshError("no")
+        if how == "break":
+            raise KeyError("a defect")
+        if how == "harm":
+            path.with_name("other").write_text("", encoding="utf-8")
+
+    monkeypatch.setitem(TARGETS, "mesh", Target(read, lambda folder: [], ()))
+    said = [read_once("mesh", ".stl", how.encode(), tmp_path) for how in ("take", "refuse", "break", "harm")]
+    assert [text.split(":")[0] for text in said] == ["read", "refused", "traceback", "harmed"]
+    assert "KeyError" in said[2] and not list(tmp_path.iterdir())
+
+
+def test_files_that_kill_or_hang_the_reader_are_counted_and_the_others_read(monkeypatch):
+    script = """
+import os, sys, time, faulthandler
+name, seed, first, count = sys.argv[1], *map(int, sys.argv[2:])
+for number in range(first, first + count):
+    faulthandler.dump_traceback_later(0.2, exit=True)
+    if number == 12: os.abort()
+    if number == 14: time.sleep(60)
+    print('"read"', flush=True)
+"""
+    monkeypatch.setattr(fuzzing, "_WORK", script)
+    [row] = fuzz_rows("mesh", 0, 10, 8)
+    assert (row["inputs"], row["read"], row["crash"], row["hang"]) == (8, 6, 1, 1)
+    assert row["examples"].startswith("12: crash") and "14: hang" in row["examples"]
+
+
+def test_the_fuzzing_process_reports_every_file():
+    [row] = fuzz_rows("pose", 3, 0, 15)
+    assert row["read"] + row["refused"] == row["inputs"] == 15 and row["examples"] == ""
+
+
+def test_the_second_proof_reads_suction_cups_and_obstacles(tmp_path, bottle_problem):
+    path = write_obstacles(tmp_path / "cell.toml")
+    cell = load_workcell(path)
+    assert [shape.name for shape in cell.obstacles] == ["wall", "left post", "right post"]
+    problem = RegraspProblem.load("bottle", cell, grasps=bottle_problem.grasps)
+    T, wall = problem.pose(0, 0.1, 0.2, 0.4), problem.pose(0, 0.0, 0.45)
+    recheck = Recheck(problem)
+    assert not list(recheck.pose_problems(T)) and "obstacle" in next(recheck.pose_problems(wall))
+    suction = RegraspProblem.load("bottle", "nova2-s1")
+    for one, checked in ((problem, recheck), (suction, Recheck(suction))):
+        ids = np.flatnonzero(one.feasible_grasps(T))[:4]
+        found = one.checker.configurations(T, ids)
+        assert len(ids) and not [
+            text for g, q in zip(ids, found, strict=True) for text in checked.grasp_problems(T, g, q[0])
+        ]
+
+
+def test_trials_are_half_apart_and_their_plans_are_proved_twice(bottle_problem):
+    pool = PosePool.draw(bottle_problem, 0)
+    instances = choose_pairs(pool, 6, np.random.default_rng(0), "bottle")
+    apart = [
+        not (bottle_problem.feasible_grasps(i.start) & bottle_problem.feasible_grasps(i.goal)).any() for i in instances
+    ]
+    assert apart[::2] == [True] * 3
+    row, direct = trial_rows(bottle_problem, instances[2:4], 0)
+    assert row["solved"] and row["num_regrasps"] >= 1 and row["wrong"] == ""
+    assert row["low"] >= row["low_failed"] >= 0 and row["low"] > 0 and direct["solved"]
+
+
+def test_a_false_plan_is_seen_by_both_proofs(bottle_problem):
+    T = bottle_problem.pose(0, 0.2, 0.35)
+    plan = solve_sequence(bottle_problem, T, bottle_problem.pose(0, -0.2, 0.35, 0.3))
+    first = plan.transitions[0]
+    wrong = replace(plan, transitions=(replace(first, q_pick=first.q_pick + 0.1),))
+    said = wrong_claims(wrong, Recheck(bottle_problem), np.random.default_rng(0))
+    assert any(text.startswith("residuals: ") for text in said) and not all(
+        text.startswith("residuals: ") for text in said
+    )
+    assert wrong_claims(plan, Recheck(bottle_problem), np.random.default_rng(0)) == []
+
+
+def test_half_files_are_found_and_temporary_ones_are_not(tmp_path):
+    for name in ("a.json", "b.npz", "c.npy", "d.safetensors", ".e.json", "f.txt"):
+        (tmp_path / name).write_bytes(b"{")
+    assert half_files(tmp_path) == ["a.json", "b.npz", "c.npy", "d.safetensors"]
+
+
+_STEPS = """
+import sys, time
+from pathlib import Path
+from regrasp_opt.files import atomic_path
+folder = Path(sys.argv[1])
+for number in range(4):
+    path = folder / "models" / f"{number}.npz"
+    if not path.exists():
+        time.sleep(0.05)
+        with atomic_path(path) as temporary:
+            import numpy; numpy.savez(temporary, a=numpy.arange(number))
+"""
+
+
+def test_kills_are_counted_and_the_results_compared(monkeypatch, tmp_path):
+    job = Job((_STEPS, "{}"), 0.5)
+    monkeypatch.setitem(JOBS, "prepare", job)
+    [row] = kill_rows("prepare", 0, 3)
+    assert (row["kills"], row["half_files"], row["failed"], row["different"]) == (3, 0, 0, 0), row
+    assert finish(job, tmp_path) == "" and sorted(results(tmp_path)) == [f"models/{n}.npz" for n in range(4)]
+    assert "boom" in finish(Job(("raise SystemExit('boom')",), 1.0), tmp_path)
+
+
+PLAN = {"part": "plans", "object": "mug", "workcell": "a", "low": 4, "low_failed": 1, "wrong": "", "status": "solved"}
+
+
+def summary(rows):
+    return {line[0]: line[1] for line in reliability_tables(rows)[0].rows}
+
+
+def test_the_summary_counts_what_the_rows_hold(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    rows = [{**PLAN, "condition": "all grasps", "solved": True} for _ in range(3)]
+    rows += [{**PLAN, "condition": "all grasps", "solved": False, "minimum": n} for n in (1, 9, None)]
+    rows += [{**PLAN, "condition": "paper's energy", "solved": False, "minimum": 1}, {"object": "x", "error": "no"}]
+    rows += [
+        {"part": "files", "reader": "mesh", "inputs": 5, "read": 1, "refused": 3, "crash": 1, "examples": "3: crash"}
+    ]
+    rows += [{"part": "faults", "command": "bench", "signal": "SIGKILL", "kills": 7, "half_files": 0, "failed": 1}]
+    rows += [{"part": "faults", "command": "bench", "signal": "SIGINT", "sent": 2, "slowest": 1.5, "half_files": 0}]
+    found = summary(rows)
+    assert found["planning problems tried"] == 7 and found["false positives: plans that a proof refutes"] == 0
+    assert found["false negatives: solvable on the exact grid, but not solved"] == 1
+    assert found["false negatives, share of the solvable [%]"] == 25.0
+    assert found["tracebacks, crashes, hangs, files harmed"] == 1 and found["damaged files read"] == 5
+    assert found["kills"] == 7 and found["half files, runs that did not recover, other results"] == 1
+    assert found["longest time to end [s]"] == 1.5
+    assert found["branch coverage [%]"] is None and found["mutants killed [%]"] is None
+    assert summary([{**rows[0], "wrong": "x"}])["false positives: plans that a proof refutes"] == 1
+    assert "3: crash" in reliability_tables(rows)[2].note
+
+
+def test_coverage_and_mutants_are_read_from_the_files_of_their_tools(tmp_path):
+    coverage, mutants = tmp_path / "coverage.json", tmp_path / "mutants.json"
+    coverage.write_text(json.dumps({"totals": {"num_branches": 8, "covered_branches": 6}}), encoding="utf-8")
+    mutants.write_text(json.dumps({"killed": 5, "timeout": 2, "survived": 2, "no_tests": 1}), encoding="utf-8")
+    assert branch_coverage(coverage) == 75.0 and mutants_killed(mutants) == 70.0
+    coverage.write_text("[]", encoding="utf-8")
+    assert branch_coverage(coverage) is None and mutants_killed(tmp_path / "none") is None
