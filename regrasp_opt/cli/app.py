@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 import typer
 
+from regrasp_opt.cli import interrupts
 from regrasp_opt.cli.completion import EXPERIMENTS, OBJECTS, REFINERS, names, stored
 from regrasp_opt.errors import RegraspError
 
@@ -61,12 +62,15 @@ def run(arguments: list[str]) -> int:
     except Exception as error:  # the last resort: a defect of ours must not spill a traceback either
         return _fail(f"internal error ({type(error).__name__}: {error}); run again with --debug and report it", error)
     except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        return 130
+        return interrupts.conclude()
+    if interrupts.received():  # Typer makes an exit code of it
+        return interrupts.conclude()
     return result if isinstance(result, int) else 0
 
 
 def _fail(message: str, error: BaseException) -> int:
+    if interrupts.received():  # what a library made of the interrupt that it caught
+        return interrupts.conclude()
     if _state["debug"]:
         traceback.print_exception(error)
     print(f"error: {' '.join(message.split())}", file=sys.stderr)
@@ -268,7 +272,7 @@ def bench(
         typer.Argument(
             metavar="EXPERIMENT",
             help="cost-sweep, one-step, unseen, cross-effector, multi-step, hard-tiers, refiners, ablations, "
-            "embedding, joint, motion or speed.",
+            "embedding, joint, motion, reliability or speed.",
             autocompletion=names(EXPERIMENTS),
         ),
     ],
