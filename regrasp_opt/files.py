@@ -5,13 +5,23 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
+import struct
 import tempfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
+
+UNREADABLE_ARRAYS = (
+    OSError, ValueError, LookupError, TypeError, AttributeError, EOFError, RuntimeError, MemoryError, SyntaxError,
+    BadZipFile, TokenError, struct.error, zlib.error,
+)  # fmt: skip
+"""What `numpy.load` raises on a broken file; NotImplementedError is a RuntimeError."""
 
 
 @contextmanager

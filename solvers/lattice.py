@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from regrasp_opt.connectivity import SequenceObjective, TableRule, block, sequence_cost
 from regrasp_opt.conventions import FloatArray, IntArray, planar_transform
 from regrasp_opt.energy.model import GraspEnergy
-from regrasp_opt.files import atomic_path, content_hash
+from regrasp_opt.files import UNREADABLE_ARRAYS, atomic_path, content_hash
 from regrasp_opt.solvers.base import Candidates, Refinement
 
 SPACING = 0.06
@@ -118,7 +118,7 @@ def _centred(low: float, high: float) -> FloatArray:
 def _read(path: Path, shape: tuple[int, int]) -> NDArray[np.float32] | None:
     try:
         stored = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError):
+    except UNREADABLE_ARRAYS:
         return None
     good = stored.shape == shape and stored.dtype == np.float32 and bool(np.isfinite(stored).all())
     return stored if good else None

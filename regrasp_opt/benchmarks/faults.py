@@ -19,12 +19,12 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
 
 from regrasp_opt.benchmarks.runner import Row
+from regrasp_opt.files import UNREADABLE_ARRAYS
 
 GRACE = 60.0
 """Seconds after which an interrupted process that still runs is killed."""
@@ -106,7 +106,7 @@ def _is_whole(path: Path) -> bool:
                 _ = [file.get_tensor(name) for name in file.keys()]  # noqa: SIM118 (not a mapping)
         elif path.suffix == ".json":
             json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile, SafetensorError):
+    except (*UNREADABLE_ARRAYS, SafetensorError):
         return False
     return True
 

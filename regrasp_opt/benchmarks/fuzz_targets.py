@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import ParseError
-from zipfile import BadZipFile
 
 import numpy as np
 import trimesh
@@ -21,6 +19,7 @@ from regrasp_opt.benchmarks.reliability_plans import write_obstacles
 from regrasp_opt.conventions import translation
 from regrasp_opt.end_effectors import load_end_effector
 from regrasp_opt.energy.storage import load_energy
+from regrasp_opt.files import UNREADABLE_ARRAYS
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import load_object
 from regrasp_opt.objects.builtin import build
@@ -167,10 +166,7 @@ TARGETS: dict[str, Target] = {
 """The readers by the name under which they are reported."""
 
 
-TOO_BROKEN = (
-    ValueError, LookupError, TypeError, AttributeError, RecursionError, OSError, EOFError, NotImplementedError,
-    ParseError, BadZipFile, struct.error,
-)  # fmt: skip
+TOO_BROKEN = (*UNREADABLE_ARRAYS, RecursionError, ParseError)
 """What damage that knows a format raises on a file that no longer has it."""
 
 
@@ -191,16 +187,6 @@ def case(name: str, seed: int, number: int, folder: Path) -> tuple[str, bytes]:
         options = TARGETS[name].damages
         try:
             content = options[rng.integers(len(options))](content, rng)
-        except (
-            ValueError,
-            KeyError,
-            TypeError,
-            AttributeError,
-            ParseError,
-            RecursionError,
-            EOFError,
-            struct.error,
-            BadZipFile,
-        ):
+        except TOO_BROKEN:
             content = damage.damage_bytes(content, rng)
     return suffix, content

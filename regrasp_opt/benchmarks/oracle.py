@@ -15,7 +15,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from zipfile import BadZipFile
 
 import joblib
 import numpy as np
@@ -25,7 +24,7 @@ from regrasp_opt.benchmarks.parallel import in_parallel
 from regrasp_opt.benchmarks.subjects import problem_key, resident
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, planar_transform
 from regrasp_opt.errors import OptionError
-from regrasp_opt.files import atomic_path, content_hash, data_home
+from regrasp_opt.files import UNREADABLE_ARRAYS, atomic_path, content_hash, data_home
 from regrasp_opt.planning import RegraspProblem
 
 BLOCK = 500
@@ -193,7 +192,7 @@ def _read(path: Path, shape: tuple[int, int]) -> _Block | None:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             packed, seconds = stored["packed"], float(stored["seconds"])
         good = packed.dtype == np.uint8 and packed.shape == (shape[0], -(-shape[1] // 8))
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+    except UNREADABLE_ARRAYS:
         good = False
     if not good:
         logger.warning("the stored ground truth '%s' is corrupt; it is made again", path)

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import joblib
 import numpy as np
@@ -20,7 +19,7 @@ import numpy as np
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, planar_transform
 from regrasp_opt.errors import GraspError
 from regrasp_opt.feasibility.checker import FeasibilityChecker
-from regrasp_opt.files import atomic_path, content_hash
+from regrasp_opt.files import UNREADABLE_ARRAYS, atomic_path, content_hash
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.workcell import Workcell
@@ -193,7 +192,7 @@ def _read_block(path: Path) -> LabelledPairs | None:
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             T, ids, feasible = stored["T"], stored["grasp_ids"], stored["feasible"]
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+    except UNREADABLE_ARRAYS:
         return None
     if T.shape != (POSES_PER_BLOCK, 4, 4) or ids.shape != feasible.shape or len(ids) != len(T):
         return None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import zipfile
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.errors import GraspError
-from regrasp_opt.files import atomic_path, content_hash
+from regrasp_opt.files import UNREADABLE_ARRAYS, atomic_path, content_hash
 
 KINDS = ("parallel", "suction")
 
@@ -81,15 +80,7 @@ class GraspSet:
         try:
             with open(path, "rb") as file, np.load(file, allow_pickle=False) as data:
                 T, width, kind = (data[key] for key in ("T_object_tcp", "width", "kind"))
-        except (
-            OSError,
-            ValueError,
-            KeyError,
-            TypeError,
-            AttributeError,
-            EOFError,
-            zipfile.BadZipFile,
-        ) as error:
+        except UNREADABLE_ARRAYS as error:
             raise GraspError(f"grasp file {os.fspath(path)} is missing or corrupt; sample the grasps again") from error
         if T.dtype.kind != "f" or width.dtype.kind != "f":
             raise GraspError(f"grasp file {os.fspath(path)} holds no numbers; sample the grasps again")

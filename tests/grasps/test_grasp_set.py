@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,8 @@ def test_saved_and_loaded_is_the_same(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "damage", ["missing", "empty", "garbage", "truncated", "keys", "pickle", "npy", "kind", "text"]
+    "damage",
+    ["missing", "empty", "garbage", "truncated", "compression", "header", "keys", "pickle", "npy", "kind", "text"],
 )
 def test_corrupt_files_are_refused(tmp_path: Path, damage: str) -> None:
     path = tmp_path / "grasps.npz"
@@ -51,6 +53,16 @@ def test_corrupt_files_are_refused(tmp_path: Path, damage: str) -> None:
         path.write_bytes(
             {"empty": b"", "garbage": b"PK\x03\x04junk" * 9, "truncated": whole[: len(whole) // 2]}[damage]
         )
+    elif damage == "compression":
+        path.write_bytes(
+            whole.replace(b"PK\x01\x02\x2d\x03\x2d\x00\x00\x00\x00", b"PK\x01\x02\x2d\x03\x2d\x00\x00\x00\x63")
+        )
+    elif damage == "header":
+        with zipfile.ZipFile(path) as stored:
+            members = {name: stored.read(name) for name in stored.namelist()}
+        with zipfile.ZipFile(path, "w") as broken:
+            for name, content in members.items():
+                broken.writestr(name, content.replace(b"}", b" "))
     elif damage == "npy":
         with path.open("wb") as file:
             np.save(file, width)
