@@ -90,16 +90,20 @@ def derivative_speed(num_regrasps: int = 3, count: int = 200, hidden: int = 128,
 
 
 def iteration_curve(axis: str, repeats: int = 15) -> list[dict[str, float]]:
-    """Return the time of what one Ipopt iteration evaluates (cost, gradient, Hessian) along `axis` "N", "G" or "H"."""
-    rows = []
+    """Return the time of what one Ipopt iteration evaluates (cost, gradient, Hessian) along `axis` "N", "G" or "H".
+
+    Sizes are timed in turn, and a size's time is the median of its turns: what else the machine does meets them alike.
+    """
+    rows, calls = [], []
     for size in SIZES[axis]:
         at = {**STANDARD, axis: size}
         energy = random_energy(at["G"], at["H"])
         cost = parametric_functions(CasadiEnergy(energy.model, at["G"]), CostOptions(), at["N"]).J_seq
         arguments = _arguments(energy, at["N"])
-        seconds = sum(median_time(partial(call, *arguments), repeats) for call in (cost, *_derivatives(cost)))
-        rows.append({**at, "seconds": seconds})
-    return rows
+        calls.append([partial(call, *arguments) for call in (cost, *_derivatives(cost))])
+        rows.append(at)
+    turns = [[sum(median_time(call, 1) for call in size) for size in calls] for _ in range(repeats)]
+    return [{**at, "seconds": seconds} for at, seconds in zip(rows, np.median(turns, axis=0).tolist(), strict=True)]
 
 
 def exponent(rows: Sequence[dict[str, float]], axis: str) -> float:

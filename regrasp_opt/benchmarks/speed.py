@@ -145,7 +145,7 @@ def measure(*, quick: bool, meshes: list[Path], tell: Callable[[str], None]) -> 
     plans: list[Row] = []
     for name in OBJECT_NAMES:
         tell(f"{name}: one regrasp")
-        plans += plan_rows(name, 6 if quick else 40, 1 if quick else 5, tell)
+        plans += plan_rows(name, 6 if quick else 40, 1 if quick else 30, tell)
     tell("derivatives and scaling")
     repeats = 5 if quick else 25
     derivatives = kernels.derivative_speed(repeats=repeats)
