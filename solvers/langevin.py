@@ -139,7 +139,7 @@ class _Landscape:
         self.center = tensor([*(low + high) / 2, 0.0])
         self.scale = tensor([*(high - low) / 2, np.pi])
         rule = objective.table_rule
-        self.reach = None if rule is None else tensor(rule.reach[:, ids])
+        self.point = None if rule is None else tensor(rule.point[:, ids])
         self.table = None if rule is None else tensor(rule.table)
         self.ends = tensor(np.stack([objective.start_energy[ids], objective.goal_energy[ids]]))
         planar = [energy.planar_layer(T_p, ids) for T_p in objective.placements]
@@ -183,7 +183,18 @@ class _Landscape:
             z = torch.nn.functional.linear(self.activation(z), W, b)
         f = z[..., 0]
         learned = torch.nn.functional.softplus(f) if self.bounded else f
-        if self.reach is None or self.table is None:
+        if self.point is None or self.table is None:
             return learned
-        to_edge = torch.minimum(xi[..., :2] - self.table[0], self.table[1] - xi[..., :2]).amin(dim=-1)
-        return torch.where(self.reach[placements] < to_edge[..., None], BLOCKED, learned)  # as `TableRule`
+        return torch.where(self._ruled_out(placements, xi), BLOCKED, learned)
+
+    def _ruled_out(self, placements: torch.Tensor, xi: torch.Tensor) -> torch.Tensor:
+        """Return what `TableRule` does, (B, N, A)."""
+        import torch
+
+        assert self.point is not None and self.table is not None
+        point = self.point[placements]
+        c, s = torch.cos(xi[..., 2:]), torch.sin(xi[..., 2:])
+        x = xi[..., :1] + c * point[..., 0] - s * point[..., 1]
+        y = xi[..., 1:2] + s * point[..., 0] + c * point[..., 1]
+        (x_low, y_low), (x_high, y_high) = self.table
+        return (x > x_low) & (x < x_high) & (y > y_low) & (y < y_high)

@@ -15,24 +15,30 @@ from regrasp_opt.energy.model import GraspEnergy
 
 @dataclass(frozen=True, eq=False)
 class TableRule:
-    """Grasps that the table makes infeasible wherever the object lies on a placement, except near the table's edges.
+    """Grasps that put part of the gripper or of the wrist into the table, wherever the object lies on a placement.
 
     Attributes
     ----------
-    reach : (S, G)
-        How far (x, y) must be from the edges for the rule to hold at each placement [m]; infinite where it never does.
+    point : (S, G, 2)
+        A point of such a part at xi = 0, seen from above [m]; NaN where there is none.
     table : (2, 2)
         ``[[x_low, y_low], [x_high, y_high]]`` of the table's top [m].
     """
 
-    reach: FloatArray
+    point: FloatArray
     table: FloatArray
 
     def __call__(self, placements: IntArray, xi: FloatArray) -> BoolArray:
-        """Return which grasps (..., G) are ruled out at `placements` (...) and planar parameters `xi` (..., 3)."""
-        low, high = self.table
-        to_edge = np.minimum(xi[..., :2] - low, high - xi[..., :2]).min(axis=-1)
-        ruled_out: BoolArray = self.reach[placements] < to_edge[..., None]
+        """Return which grasps (..., G) are ruled out at `placements` (...) and planar parameters `xi` (..., 3).
+
+        These are the ones whose point in the table is within the table's edges there.
+        """
+        x, y, c, s = (part[..., None] for part in (xi[..., 0], xi[..., 1], np.cos(xi[..., 2]), np.sin(xi[..., 2])))
+        point = self.point[placements]
+        moved = x + c * point[..., 0] - s * point[..., 1], y + s * point[..., 0] + c * point[..., 1]
+        ruled_out = np.ones(point.shape[:-1], dtype=bool)
+        for at, low, high in zip(moved, *self.table, strict=True):
+            ruled_out &= (at > low) & (at < high)
         return ruled_out
 
 

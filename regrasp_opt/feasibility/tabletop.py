@@ -1,8 +1,8 @@
 """What the table rules out for good: grasps that put the gripper or the wrist into it at every pose of a placement.
 
 A planar motion turns an object about the vertical and moves it along the table, so the height of the gripper stays
-the same, and so does that of the wrist as far as the last joint's turning does not move it. One test of these bodies
-against the table stands for all planar motions that keep them within its edges.
+the same, and so does that of the wrist as far as the last joint's turning does not move it. A point of these bodies
+that is as low as the table stands for all planar motions that keep it within the table's edges.
 """
 
 from __future__ import annotations
@@ -28,31 +28,34 @@ class _Body(NamedTuple):
     clearance: float
 
 
-def table_reach(workcell: Workcell, grasps: GraspSet, placements: FloatArray) -> FloatArray:
-    """Return how far (S, G) [m] the object's (x, y) must be from the table's edges to prove a grasp infeasible.
+def points_in_table(workcell: Workcell, grasps: GraspSet, placements: FloatArray) -> FloatArray:
+    """Return a point (S, G, 2) [m] of gripper or wrist that is in the table, for each placement and grasp.
 
-    Part of the gripper or of the wrist is then in the table. Infinite where no part of them ever is; the grasp may
-    still be infeasible everywhere for other reasons.
+    It is seen from above, at xi = 0. Wherever that point, which moves with the object, is within the table's edges, the
+    grasp is infeasible. NaN where no such point is known; the grasp may still be infeasible for other reasons.
 
     Parameters
     ----------
     placements : (S, 4, 4)
         Stable placements, T_world_object at xi = 0.
     """
-    table, effector = workcell.table.shape, workcell.end_effector
-    top = coal.CollisionObject(shape_geometry(table), _transform(table.pose))
+    table, effector = workcell.table, workcell.end_effector
+    slab = table.height - table.thickness, table.height
     margins = workcell.clearance
     fixed = [_Body(shape_geometry(s), s.pose, margins.gripper) for s in effector.body]
     fixed += [_Body(geometry, T, margins.arm) for geometry, T in wrist_bodies(workcell.robot)]
     T_object_flange = grasps.T_object_tcp @ effector.T_tcp_flange
-    least = np.full((len(placements), len(grasps)), np.inf)
+    found = np.full((len(placements), len(grasps), 2), np.nan)
     for g, width in enumerate(grasps.width.tolist()):
         fingers = effector.finger_boxes(width, effector.pre_opening)
         bodies = [_Body(shape_geometry(s), s.pose, margins.gripper) for s in fingers] + fixed
-        T_flange = placements @ T_object_flange[g]
         for body in bodies:
-            least[:, g] = np.minimum(least[:, g], _reach(body, T_flange, top, table.pose[:2, 3]))
-    return least
+            point = _in_slab(body, placements @ T_object_flange[g], slab)
+            # The nearest point to the object is the last to leave the table.
+            nearer = ~(np.linalg.norm(point, axis=1) >= np.linalg.norm(found[:, g], axis=1))
+            nearer &= np.isfinite(point).all(axis=1)
+            found[nearer, g] = point[nearer]
+    return found
 
 
 def wrist_bodies(robot: Robot) -> list[tuple[Any, FloatArray]]:
@@ -86,25 +89,37 @@ def _round_about(geometry: Any, T: FloatArray, axis: FloatArray) -> bool:
     return long and centered and bool(np.linalg.norm(np.cross(axis, T[:3, 2])) < _ON_AXIS)
 
 
-def _reach(body: _Body, T_flange: FloatArray, top: Any, center: FloatArray) -> FloatArray:
-    """Return how far `body` extends from the origin (S,) [m] at flange poses (S, 4, 4) that put it into the table.
+def _in_slab(body: _Body, T_flange: FloatArray, slab: tuple[float, float]) -> FloatArray:
+    """Return a point (S, 2) of `body` between the heights of `slab`, or nearer to its top than the clearance, or NaN.
 
-    Infinite at poses that do not, were the table's `center` (2,) at the origin and its edges far away.
+    Bodies are convex but for meshes, so that they hold what is between their lowest and their highest point.
     """
-    request = coal.CollisionRequest()
-    request.security_margin = body.clearance
-    body.geometry.computeLocalAABB()
-    radius, poses = float(body.geometry.aabb_radius), T_flange @ body.T_flange_body
-    middle = poses[:, :3, :3] @ np.array(body.geometry.aabb_center) + poses[:, :3, 3]
-    extent = np.linalg.norm(middle[:, :2], axis=1) + radius + body.clearance
-    poses[:, :2, 3] += center - middle[:, :2]  # over the middle of the table
-    for s in range(len(poses)):
-        near = middle[s, 2] - radius < top.getAABB().max_[2] + body.clearance
-        item = coal.CollisionObject(body.geometry, _transform(poses[s]))
-        if not (near and coal.collide(item, top, request, coal.CollisionResult())):
-            extent[s] = np.inf
-    return extent
+    bottom, top = slab[0], slab[1] + body.clearance
+    T = T_flange @ body.T_flange_body
+    low, high = _extreme(body.geometry, T, -1.0), _extreme(body.geometry, T, 1.0)
+    share = np.zeros(len(T))
+    if not isinstance(body.geometry, coal.BVHModelOBBRSS):
+        share = np.clip((bottom - low[:, 2]) / np.maximum(high[:, 2] - low[:, 2], 1e-12), 0.0, 1.0)
+    point: FloatArray = low + share[:, None] * (high - low)
+    inside = (point[:, 2] >= bottom - 1e-12) & (point[:, 2] < top)
+    return np.where(inside[:, None], point[:, :2], np.nan)
 
 
-def _transform(T: FloatArray) -> Any:
-    return coal.Transform3s(T[:3, :3], T[:3, 3])
+def _extreme(geometry: Any, T: FloatArray, sign: float) -> FloatArray:
+    """Return the highest (`sign` 1) or lowest (-1) point (S, 3) of a Coal geometry at poses (S, 4, 4)."""
+    along = sign * T[:, 2, :3]  # the vertical in the body's frame
+    if isinstance(geometry, coal.Box):
+        local = np.sign(along) * np.array(geometry.halfSide)
+    elif isinstance(geometry, coal.Sphere):
+        local = geometry.radius * along
+    elif isinstance(geometry, coal.Capsule):
+        local = geometry.radius * along
+        local[:, 2] += geometry.halfLength * np.sign(along[:, 2])
+    elif isinstance(geometry, coal.Cylinder):
+        across = along[:, :2] / np.maximum(np.linalg.norm(along[:, :2], axis=1), 1e-12)[:, None]
+        local = np.column_stack([geometry.radius * across, geometry.halfLength * np.sign(along[:, 2])])
+    else:
+        points = np.array(geometry.vertices())
+        local = points[(points @ along.T).argmax(axis=0)]
+    moved: FloatArray = np.einsum("sij,sj->si", T[:, :3, :3], local) + T[:, :3, 3]
+    return moved

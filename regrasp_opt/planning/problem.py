@@ -17,7 +17,7 @@ from regrasp_opt.connectivity.embedding import ProblemEnergy
 from regrasp_opt.conventions import BoolArray, FloatArray, as_pose, planar_transform, translation
 from regrasp_opt.errors import GraspError, ModelError, PoseError, UnknownNameError
 from regrasp_opt.feasibility import FeasibilityChecker
-from regrasp_opt.feasibility.tabletop import table_reach
+from regrasp_opt.feasibility.tabletop import points_in_table
 from regrasp_opt.files import data_home
 from regrasp_opt.grasps import GraspSet, gripper_free, sample_grasps
 from regrasp_opt.objects import ObjectModel, Placement, load_object
@@ -154,7 +154,7 @@ class RegraspProblem:
         """Which grasps the table makes infeasible at a placement, whatever the planar parameters."""
         table = self.workcell.table
         corners = table.center + np.array([[-0.5], [0.5]]) * table.size
-        return TableRule(table_reach(self.workcell, self.grasps, self.placement_poses), corners)
+        return TableRule(points_in_table(self.workcell, self.grasps, self.placement_poses), corners)
 
     def pose(self, placement: int, x: float, y: float, yaw: float = 0.0) -> FloatArray:
         """Return the pose (4, 4) T_world_object of a stable placement moved by (x, y, yaw) [m, m, rad] (Eq. 6).

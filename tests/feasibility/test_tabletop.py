@@ -8,7 +8,7 @@ import pytest
 from regrasp_opt.connectivity import TableRule
 from regrasp_opt.conventions import planar_transform
 from regrasp_opt.feasibility import FeasibilityChecker
-from regrasp_opt.feasibility.tabletop import table_reach, wrist_bodies
+from regrasp_opt.feasibility.tabletop import points_in_table, wrist_bodies
 from regrasp_opt.grasps import sample_grasps
 from regrasp_opt.objects import load_object
 from regrasp_opt.workcell import load_workcell
@@ -17,7 +17,7 @@ from regrasp_opt.workcell.model import Table
 
 def rule(cell, grasps, placements):
     corners = cell.table.center + np.array([[-0.5], [0.5]]) * cell.table.size
-    return TableRule(table_reach(cell, grasps, placements), corners)
+    return TableRule(points_in_table(cell, grasps, placements), corners)
 
 
 @pytest.mark.parametrize(
@@ -41,15 +41,12 @@ def test_no_feasible_grasp_is_ruled_out(name, cell_name, size):
     assert not (feasible & verdict).any()
 
 
-def test_the_rule_ends_near_the_edges():
-    ruled_out = TableRule(np.array([[0.1, np.inf]]), np.array([[-0.5, 0.0], [0.5, 1.0]]))
-    at = np.array([[0.0, 0.5, 0.3], [0.45, 0.5, 0.0], [0.0, 0.05, 0.0], [0.0, 2.0, 0.0]])
-    assert ruled_out(np.zeros(4, dtype=int), at).tolist() == [
-        [True, False],
-        [False, False],
-        [False, False],
-        [False, False],
-    ]
+def test_the_rule_holds_where_the_point_is_within_the_edges():
+    point = np.array([[[0.2, 0.0], [np.nan, np.nan]]])
+    ruled_out = TableRule(point, np.array([[-0.5, 0.0], [0.5, 1.0]]))
+    xi = np.array([[0.0, 0.5, 0.3], [0.4, 0.5, 0.0], [0.4, 0.5, np.pi], [0.0, 0.85, np.pi / 2], [0.0, 2.0, 0.0]])
+    verdict = ruled_out(np.zeros(5, dtype=int), xi)
+    assert verdict.tolist() == [[True, False], [False, False], [True, False], [False, False], [False, False]]
 
 
 def test_bodies_round_about_the_last_joint_belong_to_the_wrist():

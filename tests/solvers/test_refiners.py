@@ -2,11 +2,12 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from regrasp_opt.connectivity import CostOptions, SequenceObjective, exact_energy, pair_score
+from regrasp_opt.connectivity import CostOptions, SequenceObjective, TableRule, exact_energy, pair_score
 from regrasp_opt.energy.features import feature_count
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
 from regrasp_opt.errors import OptionError
@@ -203,3 +204,22 @@ def test_each_candidate_has_a_status_and_a_trace(random_objective):
         assert len(refined.status) == len(refined.traces) == 3
         for trace, cost in zip(refined.traces, starts.cost, strict=True):
             assert trace[0] == pytest.approx(cost, abs=1e-4)
+
+
+@pytest.mark.parametrize("num_regrasps", [1, 2])
+def test_langevin_descends_the_objective_with_what_the_table_rules_out(random_objective, num_regrasps):
+    import torch
+
+    from regrasp_opt.solvers.langevin import _Landscape
+
+    rng = np.random.default_rng(8)
+    point = rng.uniform(-0.2, 0.2, (3, 20, 2))
+    point[rng.random((3, 20)) < 0.5] = np.nan
+    objective = replace(random_objective, table_rule=TableRule(point, np.array([[-0.3, -0.3], [0.3, 0.3]])))
+    placements = rng.integers(3, size=(30, num_regrasps))
+    xi = rng.uniform([-0.4, -0.4, -3.0], [0.4, 0.4, 3.0], (30, num_regrasps, 3))
+    assert 0.05 < objective.ruled_out(placements, xi).mean() < 0.6
+    landscape = _Landscape(objective, num_regrasps, torch.device("cpu"))
+    cost = landscape.cost(torch.as_tensor(placements), landscape.scaled(xi)).numpy()
+    np.testing.assert_allclose(cost, objective.cost(placements, xi), rtol=2e-4, atol=2e-4)
+    assert not np.allclose(cost, random_objective.cost(placements, xi), atol=1e-2)
