@@ -53,6 +53,7 @@ def performance_page(result: dict[str, Any], environment: dict[str, Any], comman
         _checks(result["checks"]),
         "## Whole processes",
         _processes(result["processes"]),
+        f"The process that measured all this had {result['peak_mb']:.0f} MB at its peak.",
     ]
     return "\n\n".join(sections) + "\n"
 
