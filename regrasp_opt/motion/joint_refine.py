@@ -1,6 +1,7 @@
 """`refine_plan`: a verified plan made better for the arm, by a discrete choice first and a nonlinear program after.
 
-Where nothing better can be proved, the plan that was given is returned as it was, with the reason.
+Where the program fails, the discrete choice alone remains, with the reason; where nothing better can be proved, the
+plan that was given is returned as it was.
 """
 
 from __future__ import annotations
@@ -39,8 +40,8 @@ class JointResult:
     Attributes
     ----------
     plan : RegraspPlan
-        The refined plan, whose transitions list the chosen grasp first; where `reason` is not empty, the very plan
-        that was given.
+        The refined plan, whose transitions list the chosen grasp first. Where `reason` is not empty, its poses are
+        those of the given plan, or it is the very plan that was given where no other choice of grasps is better.
     before : JointMeasures
         Of the given plan, with the first grasp of each transition.
     discrete : JointMeasures or None
@@ -49,7 +50,7 @@ class JointResult:
     after : JointMeasures
         Of `plan`.
     reason : str
-        Why the plan could not be refined: which constraint, by how much; empty for a refined plan.
+        Why no pose could be moved: which constraint, by how much; empty where the program was solved.
     stats : list of dict
         One entry for each solve.
     """
@@ -112,11 +113,13 @@ def refine_plan(
         limits = (bounds or Bounds()).tightened(before, held)
         search = JointSearch(plan, minimise, limits, at_home, options or SearchOptions())
         best = search.run()
-        refined, reason = (None, search.trouble) if best is None else _proved(plan, search, best)
+        refined, refusal = None, ""
+        if best is not None and (not search.failure or best.measures.loss(minimise) < before.loss(minimise)):
+            refined, refusal = _proved(plan, search, best)
         if best is None or refined is None:
-            return JointResult(plan, before, search.discrete, before, reason, search.stats)
+            return JointResult(plan, before, search.discrete, before, refusal or search.failure, search.stats)
         refined = replace(refined, timings={**plan.timings, "joint": time.perf_counter() - begun})
-        return JointResult(refined, before, search.discrete, best.measures, "", search.stats)
+        return JointResult(refined, before, search.discrete, best.measures, search.failure, search.stats)
 
 
 def _checked_home(home: ArrayLike, problem: RegraspProblem) -> FloatArray:

@@ -84,6 +84,8 @@ class JointSearch:
         Of the best choice at the plan's own poses.
     trouble : str
         What was in the way last.
+    failure : str
+        Why no program could be solved and proved; empty where one was.
     stats : list of dict
         One entry for each solve.
     """
@@ -94,7 +96,7 @@ class JointSearch:
         self.problem, self.minimise, self.bounds = plan.problem, minimise, bounds
         self.home, self.options = home, options
         self.discrete: JointMeasures | None = None
-        self.trouble = ""
+        self.trouble = self.failure = ""
         self.stats: list[dict[str, Any]] = []
         self._plan = plan
         self._ends = [PoseKnowledge(self.problem.checker, T) for T in plan.poses[[0, -1]]]
@@ -107,7 +109,10 @@ class JointSearch:
             self._objective, self._cost = _connectivity(plan, self._ends)
 
     def run(self) -> Candidate | None:
-        """Return the best candidate, or None where no program could be solved and proved; `trouble` says why."""
+        """Return the best candidate, or None where no choice keeps to the bounds; `failure` says what went wrong.
+
+        Where no program could be solved and proved, that is the best choice at the plan's own poses.
+        """
         best: Candidate | None = None
         short = ""
         xi = self._plan.xi
@@ -124,8 +129,8 @@ class JointSearch:
             new = [choice for choice in choices if best is None or not _same(choice, best.choice)]
             solved = [c for c in (self._solved(xi, choice) for choice in new) if c is not None]
             if best is None and not solved:
-                self.trouble = "; ".join(dict.fromkeys(text for text in (short, self.trouble) if text))
-                return None
+                self.failure = "; ".join(dict.fromkeys(text for text in (short, self.trouble) if text))
+                return min(as_they_are, key=self._loss, default=None)
             before = best if best is not None else min(as_they_are, key=self._loss, default=None)
             best = min([*([] if best is None else [best]), *as_they_are, *solved], key=self._loss)
             if before is not None and self._loss(before) - self._loss(best) < WORTHWHILE * abs(self._loss(before)):
