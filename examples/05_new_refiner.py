@@ -1,13 +1,14 @@
 """A refiner of your own in a few lines: coordinate descent, compared with the built-in ones.
 
-Anything with a `name` and a method `refine` can be passed to `solve_sequence`: `python examples/05_new_refiner.py`.
+Anything with a `name` and a method `refine` can be passed to `solve_sequence`, alone or in a `Recipe`, which says how
+many start points it gets: `python examples/05_new_refiner.py`.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from regrasp_opt import RegraspProblem, solve_sequence
+from regrasp_opt import Recipe, RegraspProblem, solve_sequence
 from regrasp_opt.solvers import Candidates, Refinement
 
 
@@ -39,11 +40,11 @@ class CoordinateDescent:
 
 def main() -> None:
     problem = RegraspProblem.load("bottle", "nova2-w")
-    start, goal = problem.pose(0, -0.25, 0.40, 0.5), problem.pose(1, 0.28, 0.38, 2.1)
+    start, goal = problem.pose(2, -0.25, 0.40, 0.5), problem.pose(4, 0.28, 0.38, 2.1)
     print(f"{'refiner':20}{'status':10}{'regrasps':>9}{'J_seq':>9}")
-    for refiner in ("lattice", CoordinateDescent(), "ipopt"):
+    own = CoordinateDescent()
+    for name, refiner in {"lattice": "lattice", own.name: Recipe(own, batches=(20,)), "ipopt": "ipopt"}.items():
         plan = solve_sequence(problem, start, goal, refiner)
-        name = getattr(refiner, "name", refiner)
         print(f"{name:20}{plan.status.name:10}{plan.num_regrasps:>9}{plan.cost:>9.3f}")
 
 

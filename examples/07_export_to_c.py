@@ -34,7 +34,7 @@ def write_code(plan: RegraspPlan) -> None:
 
 def main() -> None:
     problem = RegraspProblem.load("bottle", "nova2-w")
-    start, goal = problem.pose(0, -0.25, 0.40, 0.5), problem.pose(1, 0.28, 0.38, 2.1)
+    start, goal = problem.pose(2, -0.25, 0.40, 0.5), problem.pose(4, 0.28, 0.38, 2.1)
     plan = solve_sequence(problem, start, goal, "lattice")
     write_code(plan)
     loop = Path(__file__).with_suffix(".c")
