@@ -231,8 +231,7 @@ class _Search:
         self, objective: SequenceObjective, candidates: Candidates, entry: dict[str, Any]
     ) -> RegraspPlan | None:
         """Return what becomes of the cheapest candidate all of whose pairs pass `h` (Alg. 2); None if none passes."""
-        poses = objective.poses(candidates.placements, candidates.xi)
-        energies = objective.chain(objective.energy(poses))
+        energies = objective.chain(objective.energies(candidates.placements, candidates.xi))
         summed = energies[:, :-1] + energies[:, 1:]
         passing = np.flatnonzero((summed <= self.problem.energy.model.threshold).any(axis=2).all(axis=1))
         entry["threshold_passed"] = len(passing)
