@@ -22,7 +22,7 @@ from regrasp_opt.benchmarks.report import Cell, Report, Table
 from regrasp_opt.benchmarks.runner import Item, Row
 from regrasp_opt.benchmarks.session import Session, error_rows, usable
 from regrasp_opt.benchmarks.subjects import planning_key
-from regrasp_opt.connectivity import BLOCKED, CostOptions, SequenceObjective, exact_energy
+from regrasp_opt.connectivity import BLOCKED, SequenceObjective, exact_energy
 from regrasp_opt.connectivity.casadi_chain import cost_of_scores, pair_score
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.energy.casadi_energy import CasadiEnergy
@@ -86,10 +86,7 @@ def run_embedding(session: Session) -> Report:
 def embedding_rows(problem: RegraspProblem, task: Task, num_regrasps: int) -> list[Row]:
     """Return one row with the median time [ms], iterations and final cost of each way."""
     ends = [exact_energy(problem.feasible_grasps(T)) for T in (task.start, task.goal)]
-    bounds, start, goal = problem.workcell.bounds.array, ends[0], ends[1]
-    objective = SequenceObjective(
-        problem.energy, problem.placement_poses, start, goal, bounds, CostOptions(), problem.table_rule
-    )
+    objective = problem.objective(ends[0], ends[1])
     with one_blas_thread():
         starts = lattice_starts(problem.lattice, objective, num_regrasps, 1, np.random.default_rng(0))
         ways = _ways(problem, objective, starts)

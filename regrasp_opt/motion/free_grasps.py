@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from regrasp_opt.connectivity import CostOptions, SequenceObjective, exact_energy
+from regrasp_opt.connectivity import exact_energy
 from regrasp_opt.conventions import FloatArray, IntArray, planar_transform
 from regrasp_opt.energy.model import GraspEnergy
 from regrasp_opt.errors import OptionError
@@ -287,10 +287,6 @@ class _Search:
         transitions: tuple[Transition, ...],
     ) -> RegraspPlan:
         start, goal = (exact_energy(problem.checker.feasible(poses[end])) for end in (0, -1))
-        bounds = problem.workcell.bounds.array
-        objective = SequenceObjective(
-            problem.energy, problem.placement_poses, start, goal, bounds, CostOptions(), problem.table_rule
-        )
-        cost = float(objective.cost(placements[None], xi[None])[0])
+        cost = float(problem.objective(start, goal).cost(placements[None], xi[None])[0])
         stats = [{"refiner": "free grasps", "num_regrasps": len(xi), "grown": len(self.pool.T) - self.pool.sampled}]
         return RegraspPlan(Status.SOLVED, poses, placements, xi, transitions, cost, {}, stats, self.seed, problem)

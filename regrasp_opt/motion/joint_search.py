@@ -15,7 +15,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from regrasp_opt.connectivity import CostOptions, SequenceObjective, exact_energy
+from regrasp_opt.connectivity import SequenceObjective, exact_energy
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.errors import OptionError
 from regrasp_opt.motion.joint_choice import best_choices, states_at, unreachable
@@ -254,13 +254,12 @@ def _connectivity(plan: RegraspPlan, ends: list[PoseKnowledge]) -> tuple[Sequenc
     """Return ``J_seq`` with exact ends as an objective and as a `casadi.Function` of ``xi`` (3, N)."""
     problem = plan.problem
     start, goal = (exact_energy(end.all()) for end in ends)
-    bounds, rule = problem.workcell.bounds.array, problem.table_rule
-    objective = SequenceObjective(problem.energy, problem.placement_poses, start, goal, bounds, CostOptions(), rule)
+    objective = problem.objective(start, goal)
     functions = problem.energy.casadi_functions(
         start=start,
         goal=goal,
         placements=plan.placements.tolist(),
-        blocked=rule(plan.placements, plan.xi) if len(plan.xi) else None,
+        blocked=problem.table_rule(plan.placements, plan.xi) if len(plan.xi) else None,
     )
     return objective, functions.J_seq
 

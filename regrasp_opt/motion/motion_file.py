@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.errors import OptionError, PlanFileError
@@ -17,7 +17,7 @@ from regrasp_opt.files import atomic_path
 from regrasp_opt.motion.plan import MotionPlan, MotionStatus, Phase, Segment
 from regrasp_opt.motion.trajectory import Trajectory
 from regrasp_opt.planning import RegraspPlan
-from regrasp_opt.planning.plan_file import plan_content, plan_from_content, read_json
+from regrasp_opt.planning.plan_file import plan_content, plan_from_content, read_json, validated
 
 SCHEMA = 1
 
@@ -110,14 +110,7 @@ def _parse(raw: Any, path: Path) -> _File:
     version = raw.get("schema") if isinstance(raw, dict) else None
     if version != SCHEMA or raw.get("kind") != "motion":
         raise PlanFileError(f"'{path}' is no motion of schema {SCHEMA}; write one with 'regrasp-opt motion'")
-    try:
-        content = _File.model_validate(raw)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise PlanFileError(
-            f"'{path}': the field '{where}' is wrong ({first['msg']}); plan the motion again"
-        ) from error
+    content = validated(_File, raw, path, "plan the motion again")
     if content.status not in _STATUSES:
         raise PlanFileError(f"'{path}': unknown status '{content.status}'; known: {', '.join(_STATUSES)}")
     return content

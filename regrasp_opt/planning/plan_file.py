@@ -6,7 +6,7 @@ import json
 import math
 import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -172,16 +172,24 @@ def read_json(path: Path, what: str) -> Any:
         raise PlanFileError(f"'{path}' is not valid JSON; it may be cut short: save the {what} again") from error
 
 
+Content = TypeVar("Content", bound=BaseModel)
+
+
+def validated(kind: type[Content], raw: Any, path: Path, advice: str) -> Content:
+    """Return `raw` as `kind`, or raise a PlanFileError that names the first wrong field and ends with `advice`."""
+    try:
+        return kind.model_validate(raw)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise PlanFileError(f"'{path}': the field '{where}' is wrong ({first['msg']}); {advice}") from error
+
+
 def _parse(raw: Any, path: Path) -> _File:
     version = raw.get("schema") if isinstance(raw, dict) else None
     if version != SCHEMA:
         raise PlanFileError(f"'{path}' has plan schema {version!r}; this version reads schema {SCHEMA}")
-    try:
-        content = _File.model_validate(raw)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise PlanFileError(f"'{path}': the field '{where}' is wrong ({first['msg']}); save the plan again") from error
+    content = validated(_File, raw, path, "save the plan again")
     if content.status.upper() not in Status.__members__:
         known = ", ".join(name.lower() for name in Status.__members__)
         raise PlanFileError(f"'{path}': unknown status '{content.status}'; known: {known}")

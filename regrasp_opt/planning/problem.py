@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from regrasp_opt.connectivity import CostOptions, TableRule
+from regrasp_opt.connectivity import CostOptions, SequenceObjective, TableRule
 from regrasp_opt.connectivity.embedding import ProblemEnergy
 from regrasp_opt.conventions import BoolArray, FloatArray, as_pose, planar_transform, translation
 from regrasp_opt.errors import GraspError, ModelError, PoseError, UnknownNameError
@@ -155,6 +155,15 @@ class RegraspProblem:
         table = self.workcell.table
         corners = table.center + np.array([[-0.5], [0.5]]) * table.size
         return TableRule(points_in_table(self.workcell, self.grasps, self.placement_poses), corners)
+
+    def objective(
+        self, start_energy: FloatArray, goal_energy: FloatArray, options: CostOptions | None = None
+    ) -> SequenceObjective:
+        """Return ``J_seq`` between ends of known energies (G,), with what the table rules out."""
+        bounds, options = self.workcell.bounds.array, options or CostOptions()
+        return SequenceObjective(
+            self.energy, self.placement_poses, start_energy, goal_energy, bounds, options, self.table_rule
+        )
 
     def pose(self, placement: int, x: float, y: float, yaw: float = 0.0) -> FloatArray:
         """Return the pose (4, 4) T_world_object of a stable placement moved by (x, y, yaw) [m, m, rad] (Eq. 6).

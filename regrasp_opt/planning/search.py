@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -285,17 +285,9 @@ class _Search:
 
     @property
     def objective(self) -> SequenceObjective:
-        problem = self.problem
         start, goal = (self._end_energy(end) for end in self.ends)
-        return SequenceObjective(
-            problem.energy,
-            problem.placement_poses,
-            start,
-            goal,
-            problem.workcell.bounds.array,
-            self.options,
-            problem.table_rule if self.recipe.knowledge == "exact" else None,
-        )
+        known = self.problem.objective(start, goal, self.options)
+        return known if self.recipe.knowledge == "exact" else replace(known, table_rule=None)
 
     def _end_energy(self, end: PoseKnowledge) -> FloatArray:
         """Return the energies (G,) at a fixed end, exact ones if they may be used."""

@@ -81,9 +81,7 @@ def _objective(problem: RegraspProblem, ends: list[Any], options: CostOptions) -
     """Return the planner's objective, or None where an end is not known yet."""
     if any(isinstance(end, str) for end in ends):
         return None
-    start, goal = ends
-    bounds, rule = problem.workcell.bounds.array, problem.table_rule
-    return SequenceObjective(problem.energy, problem.placement_poses, start, goal, bounds, options, rule)
+    return problem.objective(ends[0], ends[1], options)
 
 
 def _from_lattice(

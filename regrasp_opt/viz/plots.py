@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from regrasp_opt.connectivity import CostOptions, SequenceObjective
 from regrasp_opt.connectivity.objective import exact_energy
 from regrasp_opt.errors import OptionError
 from regrasp_opt.planning import RegraspPlan
@@ -81,15 +80,7 @@ def plot_pose_distribution(plan: RegraspPlan) -> Any:
     plt = _pyplot()
     problem, lattice = plan.problem, plan.problem.lattice
     start, goal = (exact_energy(problem.feasible_grasps(plan.poses[i])) for i in (0, -1))
-    objective = SequenceObjective(
-        problem.energy,
-        problem.placement_poses,
-        start,
-        goal,
-        problem.workcell.bounds.array,
-        CostOptions(),
-        problem.table_rule,
-    )
+    objective = problem.objective(start, goal)
     cost = objective.cost(lattice.placements[:, None], lattice.xi[:, None], np.float32).reshape(-1, YAWS)
     best = np.arange(len(cost)) * YAWS + cost.argmin(axis=1)
     placements, xi, cost = lattice.placements[best], lattice.xi[best], cost.min(axis=1)
