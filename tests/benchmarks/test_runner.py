@@ -13,6 +13,7 @@ import pytest
 from regrasp_opt.benchmarks.parallel import dask_cluster, in_parallel
 from regrasp_opt.benchmarks.runner import Item, run_items, write_csv
 from regrasp_opt.errors import MeshError, OptionError
+from regrasp_opt.files import atomic_path
 
 
 def work(folder, number):
@@ -113,31 +114,34 @@ def test_a_dask_cluster_does_the_work(cluster):
     assert workers and os.getpid() not in workers
 
 
-def slow(folder, number):
-    """Leave the number of this process behind, work for a while, and return one row."""
-    with open(Path(folder) / f"pid-{number}", "a", encoding="utf-8") as file:
-        file.write(f"{os.getpid()}\n")
-    time.sleep(0.5)
+def square(folder, number):
+    """Return one row, and count the tries; the first try at number 0 waits to be killed."""
+    tries = Path(folder) / f"tries-{number}"
+    first = not tries.exists()
+    with open(tries, "a", encoding="utf-8") as file:
+        file.write("x")
+    if number == 0 and first:
+        with atomic_path(Path(folder) / "victim") as path:
+            path.write_text(str(os.getpid()), encoding="utf-8")
+        time.sleep(60)
     return [{"square": number**2}]
 
 
 def test_a_killed_worker_loses_and_doubles_nothing(cluster, tmp_path):
-    todo = [Item(f"slow {i}", "a", slow, (str(tmp_path), i), {"number": i}) for i in range(12)]
+    todo = [Item(f"square {i}", "a", square, (str(tmp_path), i), {"number": i}) for i in range(12)]
 
-    def kill_the_first():
-        while not (found := sorted(tmp_path.glob("pid-*"))):
+    def kill_the_victim():
+        while not (tmp_path / "victim").exists():
             time.sleep(0.05)
-        os.kill(int(found[0].read_text(encoding="utf-8").split()[0]), signal.SIGKILL)
+        os.kill(int((tmp_path / "victim").read_text(encoding="utf-8")), signal.SIGKILL)
 
-    killer = threading.Thread(target=kill_the_first)
+    killer = threading.Thread(target=kill_the_victim)
     killer.start()
     with dask_cluster(cluster.scheduler_address):
         rows = run_items(todo, tmp_path / "items", quiet=True).rows
     killer.join()
     assert rows == [{"number": i, "square": i**2} for i in range(12)]
-    assert (
-        sum(len(path.read_text(encoding="utf-8").split()) for path in tmp_path.glob("pid-*")) > 12
-    )  # what was lost ran again
+    assert (tmp_path / "tries-0").read_text(encoding="utf-8") == "xx"  # what was lost ran again
     assert run_items(todo, tmp_path / "items", jobs=1, quiet=True).rows == rows
 
 
