@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from regrasp_opt.connectivity import CostOptions, SequenceObjective, exact_energy, pair_score
-from regrasp_opt.conventions import FloatArray, as_seed
+from regrasp_opt.conventions import BoolArray, FloatArray, as_seed
 from regrasp_opt.errors import OptionError
 from regrasp_opt.planning.ends import checked_end, known_energy
 from regrasp_opt.planning.plan import RegraspPlan, Status
@@ -218,6 +218,8 @@ class _Search:
             plan = self._plan(objective, candidates, index, chain)
             if self._accepted(plan):
                 entry["accepted"] = index
+                picked = candidates.take(slice(index, index + 1))
+                entry["threshold_passed"] = int(self._below_threshold(objective, picked).sum())
                 return plan
         return None
 
@@ -231,9 +233,7 @@ class _Search:
         self, objective: SequenceObjective, candidates: Candidates, entry: dict[str, Any]
     ) -> RegraspPlan | None:
         """Return what becomes of the cheapest candidate all of whose pairs pass `h` (Alg. 2); None if none passes."""
-        energies = objective.chain(objective.energies(candidates.placements, candidates.xi))
-        summed = energies[:, :-1] + energies[:, 1:]
-        passing = np.flatnonzero((summed <= self.problem.energy.model.threshold).any(axis=2).all(axis=1))
+        passing = np.flatnonzero(self._below_threshold(objective, candidates))
         entry["threshold_passed"] = len(passing)
         if len(passing) == 0:
             return None
@@ -247,6 +247,12 @@ class _Search:
             return self.result(Status.NOT_FOUND)
         entry["accepted"] = index
         return plan
+
+    def _below_threshold(self, objective: SequenceObjective, candidates: Candidates) -> BoolArray:
+        """Return for each candidate (B,) whether all its pairs have a grasp whose summed energy is at most `h`."""
+        energies = objective.chain(objective.energies(candidates.placements, candidates.xi))
+        summed = energies[:, :-1] + energies[:, 1:]
+        return (summed <= self.problem.energy.model.threshold).any(axis=2).all(axis=1)
 
     def _prove(self, objective: SequenceObjective, candidates: Candidates, index: int) -> list[PoseKnowledge] | None:
         xi = candidates.xi[index]
