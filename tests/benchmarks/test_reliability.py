@@ -55,7 +55,7 @@ def test_files_that_kill_or_hang_the_reader_are_counted_and_the_others_read(monk
 import os, sys, time, faulthandler
 name, seed, first, count = sys.argv[1], *map(int, sys.argv[2:])
 for number in range(first, first + count):
-    faulthandler.dump_traceback_later(0.2, exit=True)
+    faulthandler.dump_traceback_later(2.0, exit=True)
     if number == 12: os.abort()
     if number == 14: time.sleep(60)
     print('"read"', flush=True)
