@@ -81,7 +81,7 @@ class NlpRefiner:
         return known[key]
 
 
-def useful_grasps(objective: SequenceObjective, placements: IntArray, xi: FloatArray) -> IntArray:
+def useful_grasps_near(objective: SequenceObjective, placements: IntArray, xi: FloatArray) -> IntArray:
     """Return the grasps (A,) that can matter from one start, `placements` (N,) and `xi` (N, 3).
 
     What the table rules out at every intermediate pose is left out.
@@ -96,7 +96,7 @@ def _active_grasps(objective: SequenceObjective, placements: IntArray, xi: Float
     A is rounded up to one of a few sizes, so that solvers can be kept; what fills it up is blocked at both ends.
     """
     ends = np.stack([objective.start_energy, objective.goal_energy], axis=1)
-    useful = useful_grasps(objective, placements, xi)
+    useful = useful_grasps_near(objective, placements, xi)
     others = np.setdiff1d(np.arange(len(ends)), useful)
     size = next((n for n in ACTIVE_SIZES if n >= len(useful)), len(ends))
     ends[others] = BLOCKED

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -119,8 +120,13 @@ class _Clock:
     seconds: dict[str, float] = field(default_factory=dict)
     began: float = field(default_factory=time.perf_counter)
 
-    def timed(self, name: str) -> _Timer:
-        return _Timer(self, name)
+    @contextmanager
+    def timed(self, name: str) -> Iterator[None]:
+        began = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
 
     @property
     def over(self) -> bool:
@@ -128,18 +134,6 @@ class _Clock:
 
     def report(self) -> dict[str, float]:
         return {**self.seconds, "total": time.perf_counter() - self.began}
-
-
-class _Timer:
-    def __init__(self, clock: _Clock, name: str) -> None:
-        self._clock, self._name = clock, name
-
-    def __enter__(self) -> None:
-        self._began = time.perf_counter()
-
-    def __exit__(self, *_: object) -> None:
-        spent = time.perf_counter() - self._began
-        self._clock.seconds[self._name] = self._clock.seconds.get(self._name, 0.0) + spent
 
 
 class _Search:

@@ -13,7 +13,7 @@ from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.errors import OptionError, PoseError
 from regrasp_opt.planning.ends import checked_end, known_energy
 from regrasp_opt.solvers import RegraspNLP, lattice_starts
-from regrasp_opt.solvers.nlp import useful_grasps
+from regrasp_opt.solvers.nlp import useful_grasps_near
 
 if TYPE_CHECKING:
     from regrasp_opt.planning.problem import RegraspProblem
@@ -45,7 +45,7 @@ def sequence_nlp(
     if xi.shape != (count, 3):
         raise OptionError(f"the guess has shape {xi.shape}; give {count} rows (x, y, theta)")
     if mask is None and objective is not None:
-        mask = np.isin(np.arange(len(energy)), useful_grasps(objective, numbers, xi))
+        mask = np.isin(np.arange(len(energy)), useful_grasps_near(objective, numbers, xi))
     functions = energy.casadi_functions(
         placements=numbers.tolist(),
         start=ends[0],
