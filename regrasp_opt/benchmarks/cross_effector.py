@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,6 +32,8 @@ TEXT = (
 )
 K_TOP = 100
 PER_PLACEMENT = 200
+KINDS = {"grippers": END_EFFECTORS[:3], "suction": END_EFFECTORS[3:]}
+"""The end-effectors of each kind; a block of the table leads from one kind to one."""
 
 
 @dataclass(frozen=True)
@@ -151,23 +154,25 @@ def _table(rows: list[Row], name: str, end_effectors: tuple[str, ...]) -> Table:
 
 
 def _blocks(rows: list[Row]) -> Table:
-    """Return the means of the diagonal and of the rest, ours and the paper's over the same cells."""
+    """Return the means of the diagonal and of the blocks beside it, ours and the paper's over the same cells."""
     lines: list[tuple[Cell, ...]] = []
     for name in dict.fromkeys(row["object"] for row in rows if "sv" in row):
         printed = CROSS_EFFECTOR.get(PAPER_OBJECT.get(name, ""), {})
-        cells = {(r["trained"], r["tested"]) for r in rows if r["object"] == name and "sv" in r}
-        parts: list[Cell] = []
-        for diagonal in (True, False):
-            chosen = [cell for cell in sorted(cells) if (cell[0] == cell[1]) is diagonal]
+        cells = sorted({(r["trained"], r["tested"]) for r in rows if r["object"] == name and "sv" in r})
+        blocks = {"same tool": [cell for cell in cells if cell[0] == cell[1]]}
+        for trained, tested in itertools.product(KINDS, repeat=2):
+            inside = [c for c in cells if c[0] in KINDS[trained] and c[1] in KINDS[tested] and c[0] != c[1]]
+            blocks[f"{trained} to {tested}"] = inside
+        for block, chosen in blocks.items():
             ours = [value for cell in chosen if (value := _cell(rows, name, *cell)) is not None]
             paper = [printed[a][b] for a, b in chosen if printed]
-            parts += [mean(ours, 1), min(ours, default=None), mean(paper, 1)]
-        lines.append((name, *parts))
+            lines.append((name, block, mean(ours, 1), min(ours, default=None), mean(paper, 1)))
     return Table(
         "Means of the blocks",
-        ("object", "same tool", "least", "paper", "other tool", "least of these", "paper, other tool"),
+        ("object", "trained to tested", "mean", "least cell", "paper, mean"),
         tuple(lines),
-        "S.V. [%]. The paper's means are over the same cells.",
+        "S.V. [%]. The paper's means are over the same cells. 'same tool' is the diagonal; the other blocks leave it "
+        "out.",
     )
 
 

@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from regrasp_opt.benchmarks import (
@@ -165,6 +166,23 @@ def test_the_papers_tables_are_whole():
     assert len(cells) == 144 and all(0 <= cell <= 100 for cell in cells)
     # in the paper the same tool wins every row of the bottle
     assert all(CROSS_EFFECTOR["bottle"][a][a] >= 40 for a in END_EFFECTORS)
+
+
+def test_blocks_of_end_effectors_leave_the_same_tool_out():
+    values = {
+        (a, b): 0.9 if a == b else 0.1 * (1 + END_EFFECTORS.index(a) // 3) for a in END_EFFECTORS for b in END_EFFECTORS
+    }
+    rows = [{"object": "bottle", "trained": a, "tested": b, "sv": sv} for (a, b), sv in values.items()]
+    lines = {line[1]: line[2:] for line in cross_effector._blocks(rows).rows}
+    means = {block: line[0] for block, line in lines.items()}
+    assert means == {
+        "same tool": 90, "grippers to grippers": 10, "grippers to suction": 10,
+        "suction to grippers": 20, "suction to suction": 20,
+    }  # fmt: skip
+    printed = CROSS_EFFECTOR["bottle"]
+    assert lines["suction to suction"][2] == pytest.approx(
+        np.mean([printed[a][b] for a in ("s1", "s2", "s3") for b in ("s1", "s2", "s3") if a != b]), abs=0.05
+    )
 
 
 def test_joint_problem_and_free_grasps(session, monkeypatch):
