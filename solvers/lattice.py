@@ -35,6 +35,11 @@ MIDDLE = 1500
 """Poses that a layer of a chain keeps."""
 RANKED = 5_000
 """Chains among which the start points are chosen."""
+LEAST_CHANCE = 1e-5
+"""Probability, by the learned energies, below which a chain is not worth refining or proving.
+
+Chains that held were never below 0.1 where this was chosen; where there is no plan, all of them are about 1e-9.
+"""
 _WORKERS = 2
 
 
@@ -136,7 +141,10 @@ def lattice_starts(
     count: int,
     rng: np.random.Generator,
 ) -> Candidates:
-    """Return up to `count` chains of `num_regrasps` lattice poses, the most promising and different ones first."""
+    """Return up to `count` chains of `num_regrasps` lattice poses, the most promising and different ones first.
+
+    Those with less than the `LEAST_CHANCE` are left out, so there may be none.
+    """
     alpha = objective.options.alpha
     P = lattice.likelihoods(alpha)
     reach = [P @ np.exp(-end / alpha).astype(np.float32) for end in (objective.start_energy, objective.goal_energy)]
@@ -146,6 +154,7 @@ def lattice_starts(
     else:
         chains, cost = _chains(P, from_start, to_goal, num_regrasps, rng)
     order = np.argsort(cost, kind="stable")[:RANKED]
+    order = order[cost[order] < -np.log(LEAST_CHANCE)]
     ranked = chains[order]
     chosen = ranked[_different(lattice.cells[ranked], count)]
     middle = lattice.energies[chosen].astype(np.float64)

@@ -176,10 +176,15 @@ class _Search:
         rng = np.random.default_rng([self.seed, num_regrasps])
         with self.clock.timed("starts"):
             chains = recipe.start_points(lambda: self.problem.lattice, objective, num_regrasps, rng)
+        if not len(chains):
+            self.stats.append({"num_regrasps": num_regrasps, "refiner": recipe.refiner.name, "starts": 0})
+            return None
         first = 0
         for size in recipe.batches:
             starts = chains.take(slice(first, first + size))
             first += size
+            if not len(starts):
+                break
             with self.clock.timed("refine"):
                 refined = recipe.refiner.refine(objective, starts, rng)
             entry = {"num_regrasps": num_regrasps, "refiner": recipe.refiner.name, **refined.stats}

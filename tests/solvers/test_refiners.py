@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from regrasp_opt.connectivity import CostOptions, SequenceObjective, TableRule, exact_energy, pair_score
+from regrasp_opt.connectivity import BLOCKED, CostOptions, SequenceObjective, TableRule, exact_energy, pair_score
 from regrasp_opt.energy.features import feature_count
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
 from regrasp_opt.errors import OptionError
@@ -143,6 +143,22 @@ def test_one_step_lattice_start_is_the_best_of_the_lattice(random_objective):
     index = int(probability.argmax())
     assert best.placements[0, 0] == lattice.placements[index]
     np.testing.assert_allclose(best.xi[0, 0], lattice.xi[index])
+
+
+def test_lattice_starts_leave_out_what_has_no_chance(random_objective, monkeypatch):
+    lattice = PoseLattice.build(random_objective.energy, random_objective.placements, BOUNDS)
+
+    def starts(objective):
+        return lattice_starts(lattice, objective, 1, len(lattice.xi), np.random.default_rng(0))
+
+    P = np.exp(-lattice.energies.astype(float))
+    masses = [P @ np.exp(-end) for end in (random_objective.start_energy, random_objective.goal_energy)]
+    probability = np.prod([1 - np.exp(-m) for m in masses], axis=0)
+    limit = float(np.median(probability))
+    monkeypatch.setattr("regrasp_opt.solvers.lattice.LEAST_CHANCE", limit)
+    assert abs(len(starts(random_objective)) - (probability > limit).sum()) <= 1  # single against double precision
+    blocked = replace(random_objective, goal_energy=np.full_like(random_objective.goal_energy, BLOCKED))
+    assert len(starts(blocked)) == 0
 
 
 def test_lattice_cache_heals(random_objective, tmp_path):
