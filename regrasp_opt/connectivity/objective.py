@@ -78,7 +78,7 @@ class SequenceObjective:
         return sequence_cost(self.chain(self.energies(placements, xi, dtype)), self.options)
 
     def energies(self, placements: IntArray, xi: FloatArray, dtype: DTypeLike = np.float64) -> NDArray[Any]:
-        """Return energies (..., G) of intermediate poses, `placements` (...) and `xi` (..., 3), in the precision `dtype`."""
+        """Return energies (..., G), of type `dtype`, of intermediate poses: `placements` (...) and `xi` (..., 3)."""
         return block(self.energy(self.poses(placements, xi), dtype), self.ruled_out(placements, xi))
 
     def ruled_out(self, placements: IntArray, xi: FloatArray) -> BoolArray:

@@ -50,7 +50,10 @@ def public():
                 found |= {f"{path}.{name}": member for name, member in own.items() if callable(member)}
             else:
                 found[path] = owner
-                if kind == "class" and ":members:" in (ROOT / "docs" / page).read_text(encoding="utf-8").split(path, 1)[1][:40]:
+                if (
+                    kind == "class"
+                    and ":members:" in (ROOT / "docs" / page).read_text(encoding="utf-8").split(path, 1)[1][:40]
+                ):
                     found |= {f"{path}.{name}": member for name, member in members(owner, wanted).items()}
     return found
 
