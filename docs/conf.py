@@ -21,7 +21,7 @@ html_theme = "furo"
 html_title = "regrasp-opt"
 html_math_renderer = "mathml"
 
-myst_enable_extensions = ["dollarmath", "amsmath"]
+myst_enable_extensions = ["dollarmath", "amsmath", "tasklist"]
 myst_heading_anchors = 3
 
 autodoc_member_order = "bysource"
