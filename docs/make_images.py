@@ -14,11 +14,13 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 from PIL import Image
 from selenium import webdriver
 from selenium.webdriver.common.by import By
 
 from regrasp_opt import RegraspPlan, RegraspProblem, solve_sequence
+from regrasp_opt.conventions import planar_transform
 from regrasp_opt.planning.pose_text import parse_pose
 from regrasp_opt.viz import write_plan_page
 from regrasp_opt.viz.plots import plot_cost_landscape, plot_pose_distribution
@@ -62,11 +64,57 @@ def photograph(browser: webdriver.Chrome, width: int, height: int) -> Image.Imag
     return Image.open(io.BytesIO(base64.b64decode(shot["data"]))).convert("RGB")
 
 
+def draw_energy(problem: RegraspProblem, placement: int = 4, yaw: float = 0.0) -> Figure:
+    """Return a picture of the energy of one grasp over the table, beside where the grasp is feasible in fact."""
+    (x_low, y_low), (x_high, y_high) = problem.workcell.bounds.array
+    x, y = np.meshgrid(np.linspace(x_low, x_high, 46), np.linspace(y_low, y_high, 26))
+    xi = np.stack([x, y, np.full_like(x, yaw)], axis=-1)
+    poses = planar_transform(xi) @ problem.placement_poses[placement]
+    energy = problem.energy(poses)
+    grasp = int(np.argmin(np.abs((energy < 1).mean(axis=(0, 1)) - 0.5)))
+    here = np.array([grasp])
+    feasible = np.array([[problem.checker.feasible(T, here)[0] for T in row] for row in poses])
+    figure, axes = plt.subplots(1, 2, figsize=(11, 3.4), layout="constrained", sharey=True)
+    drawn = axes[0].pcolormesh(x, y, energy[..., grasp], vmin=0, vmax=10, cmap="viridis", shading="nearest")
+    axes[0].contour(x, y, energy[..., grasp], [np.log(2)], colors="white")
+    axes[0].set_title(f"energy of grasp {grasp}; white: probability 1/2")
+    figure.colorbar(drawn, ax=axes[0], label="E(T, g)", extend="max")
+    axes[1].pcolormesh(x, y, np.where(feasible, 0.0, 10.0), vmin=0, vmax=10, cmap="viridis", shading="nearest")
+    axes[1].set_title("exact check; dark: feasible")
+    for ax in axes:
+        ax.set(xlabel="x [m]", aspect="equal")
+    axes[0].set_ylabel("y [m]")
+    figure.suptitle(f"{problem.object.name}, placement {placement}, turned by {np.degrees(yaw):.0f} degrees")
+    return figure
+
+
+def draw_chain(plan: RegraspPlan) -> Figure:
+    """Return a picture of which grasps are feasible at the poses of a plan, and which are shared by neighbours."""
+    feasible = np.array([plan.problem.feasible_grasps(T) for T in plan.poses])
+    order = np.lexsort((~feasible).astype(int)[::-1])
+    order = order[feasible[:, order].any(axis=0)]
+    names = ["start", *(f"pose {k}" for k in range(1, plan.num_regrasps + 1)), "goal"]
+    figure, ax = plt.subplots(figsize=(11, 2.4), layout="constrained")
+    for row in range(len(names)):
+        at = np.flatnonzero(feasible[row, order])
+        ax.scatter(at, np.full(len(at), row), s=14, color="#0072b2", zorder=3)
+    for row, transition in enumerate(plan.transitions):
+        at = np.flatnonzero(np.isin(order, transition.grasp_ids))
+        ax.vlines(at, row, row + 1, color="#d55e00", linewidth=1.5)
+        ax.text(len(order) + 1, row + 0.5, f"{len(at)} shared", color="#d55e00", va="center")
+    ax.set(yticks=range(len(names)), yticklabels=names, ylim=(len(names) - 0.6, -0.4), xlim=(-1, len(order) + 9))
+    ax.set_xlabel("grasps that are feasible at one of the poses")
+    ax.set_title(f"{plan.problem.object.name}: feasible grasps (dots), shared by neighbours (lines)")
+    return figure
+
+
 def main() -> None:
-    """Write pictures of a plan: its steps, the page, the cost over the table and over all lattice poses."""
+    """Write pictures of a plan: its steps, the page, its grasps, the cost over the table and over all lattice poses."""
     plan = solve()
     print(plan.status.name, np.round(plan.xi, 3).tolist())
     IMAGES.mkdir(exist_ok=True)
+    draw_energy(plan.problem).savefig(IMAGES / "energy.png", dpi=100)
+    draw_chain(plan).savefig(IMAGES / "chain.png", dpi=100)
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         page = Path(folder) / "plan.html"
         write_plan_page(plan, page)

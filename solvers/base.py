@@ -68,7 +68,17 @@ class Refiner(Protocol):
         """Short name, for reports."""
 
     def refine(self, objective: SequenceObjective, starts: Candidates, rng: np.random.Generator) -> Refinement:
-        """Return the batch improved: as many candidates as `starts`, none with a higher cost than its start."""
+        """Return the batch improved: as many candidates as `starts`, none with a higher cost than its start.
+
+        Parameters
+        ----------
+        objective : SequenceObjective
+            What is minimised.
+        starts : Candidates
+            B sequences of N intermediate poses.
+        rng : Generator
+            The only source of randomness.
+        """
         ...
 
 

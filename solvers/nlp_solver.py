@@ -83,7 +83,10 @@ class NlpSolver:
         ubg: ArrayLike = np.inf,
         p: ArrayLike = (),
     ) -> NlpSolution:
-        """Solve from `x0` (n,) with parameters `p` (m,), all bounds as `casadi.nlpsol` takes them."""
+        """Return what is found from `x0` (n,) with parameters `p` (m,).
+
+        The bounds `lbx`, `ubx` of the variables and `lbg`, `ubg` of the constraints are as `casadi.nlpsol` takes them.
+        """
         with lock:
             found = self.casadi_solver(x0=x0, p=np.asarray(p), lbx=lbx, ubx=ubx, lbg=lbg, ubg=ubg)
             stats = self.casadi_solver.stats()

@@ -115,7 +115,26 @@ class RegraspNLP:
         upper: ArrayLike = np.inf,
         guess: ArrayLike = 0.0,
     ) -> Any:
-        """Add a variable of `shape` within bounds and return its symbol."""
+        """Add a variable within bounds and return its symbol.
+
+        Parameters
+        ----------
+        name : str
+        shape : int or (int, int)
+        lower, upper : array_like
+            Its bounds, one for all entries or one for each.
+        guess : array_like
+            Where a solver starts.
+
+        Returns
+        -------
+        casadi.MX
+
+        Raises
+        ------
+        OptionError
+            If the name is taken, a bound or the guess does not fit the shape, or a lower bound is above its upper one.
+        """
         symbol = self._symbol(name, shape)
         low, high, start = (_filled(part, symbol, name) for part in (lower, upper, guess))
         if (low > high).any():
@@ -124,7 +143,24 @@ class RegraspNLP:
         return symbol
 
     def parameter(self, name: str, shape: int | tuple[int, int] = 1, value: ArrayLike | None = None) -> Any:
-        """Add a parameter of `shape` and return its symbol; its value may be set later with `set_parameter`."""
+        """Add a parameter and return its symbol.
+
+        Parameters
+        ----------
+        name : str
+        shape : int or (int, int)
+        value : array_like, optional
+            It may be set later, with `set_parameter`.
+
+        Returns
+        -------
+        casadi.MX
+
+        Raises
+        ------
+        OptionError
+            If the name is taken, or the value does not fit the shape.
+        """
         symbol = self._symbol(name, shape)
         self._parameters[name] = _Block(symbol)
         if value is not None:
@@ -132,14 +168,26 @@ class RegraspNLP:
         return symbol
 
     def set_parameter(self, name: str, value: ArrayLike) -> None:
-        """Set the value of a parameter."""
+        """Set the value of the parameter `name` to `value`, which has its shape or is one number for all entries.
+
+        Raises
+        ------
+        OptionError
+            If there is no such parameter, or the value does not fit its shape.
+        """
         if name not in self._parameters:
             raise OptionError(f"there is no parameter '{name}'; there are: {', '.join(self._parameters) or 'none'}")
         symbol = self._parameters[name].expression
         self._parameters[name] = _Block(symbol, value=_filled(value, symbol, name))
 
     def add_cost(self, term: Any) -> None:
-        """Add the scalar expression `term` to what is minimised."""
+        """Add the scalar expression `term` to what is minimised.
+
+        Raises
+        ------
+        OptionError
+            If it is no scalar.
+        """
         if ca.MX(term).shape != (1, 1):
             raise OptionError(f"a cost has shape {ca.MX(term).shape}; give a scalar expression")
         self.f = self.f + term
@@ -147,7 +195,21 @@ class RegraspNLP:
     def add_constraint(
         self, name: str, expression: Any, *, lower: ArrayLike = -np.inf, upper: ArrayLike = np.inf
     ) -> None:
-        """Demand ``lower <= expression <= upper``, elementwise; equal bounds make an equation."""
+        """Demand ``lower <= expression <= upper``, elementwise; equal bounds make an equation.
+
+        Parameters
+        ----------
+        name : str
+        expression : casadi.MX
+            Of the program's variables and parameters.
+        lower, upper : array_like
+            One number for all entries, or one for each.
+
+        Raises
+        ------
+        OptionError
+            If the name is taken, or a bound does not fit the expression.
+        """
         if name in self._rows:
             raise OptionError(f"there is a constraint '{name}' already; give another name")
         expression = ca.densify(ca.MX(expression))
@@ -208,7 +270,7 @@ class RegraspNLP:
         return {name: flat[part].reshape(shapes[name], order="F") for name, part in self.blocks["x"].items()}
 
     def solver(self, options: ProgramOptions | None = None) -> NlpSolver:
-        """Return a solver of the program as it now stands, to be called more than once.
+        """Return a solver of the program as it now stands, to be called more than once; `options` say which and how.
 
         Raises
         ------
@@ -219,14 +281,23 @@ class RegraspNLP:
         return NlpSolver(self.program, options or ProgramOptions())
 
     def solve(self, options: ProgramOptions | None = None) -> NlpSolution:
-        """Solve the program once from its guess; what is found need not hold the constraints, see `NlpSolution`."""
+        """Return what a solver with these `options` finds from the guess; it need not hold the constraints.
+
+        Raises
+        ------
+        OptionError
+            As of `solver`, or if a parameter has no value.
+        """
         with one_blas_thread():
             return self.solver(options).solve(**self.arguments)
 
     def add_to_opti(self, opti: Any) -> OptiTerms:
         """Put variables, parameters, bounds and constraints into the `casadi.Opti` problem `opti`, with their values.
 
-        An Opti problem has one objective: pass it the returned ``cost`` with your own terms.
+        Returns
+        -------
+        OptiTerms
+            An Opti problem has one objective: pass it the ``cost`` of this with your own terms.
 
         Raises
         ------

@@ -111,6 +111,11 @@ class ProblemEnergy(GraspEnergy):
         ConnectivityFunctions
             Functions of ``T`` (4, 4 M), poses T_world_object side by side: ``E`` (G, M), ``Q_pair``, ``J_seq``. All 12
             numbers of the upper rows of a pose are free as far as derivatives go; keeping them rigid is the caller's.
+
+        Raises
+        ------
+        OptionError
+            If `num_poses` is below 1, or as of `casadi_functions`.
         """
         if isinstance(num_poses, bool) or not isinstance(num_poses, (int, np.integer)) or num_poses < 1:
             raise OptionError(f"num_poses is {num_poses}; give a whole number of at least 1")

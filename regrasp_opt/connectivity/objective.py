@@ -70,15 +70,15 @@ class SequenceObjective:
     table_rule: TableRule | None = None
 
     def poses(self, placements: IntArray, xi: FloatArray) -> FloatArray:
-        """Return object poses (..., 4, 4) of placement numbers (...) and planar parameters (..., 3) (Eq. 6)."""
+        """Return object poses (..., 4, 4) of numbers `placements` (...) and planar parameters `xi` (..., 3) (Eq. 6)."""
         return planar_transform(xi) @ self.placements[placements]
 
     def cost(self, placements: IntArray, xi: FloatArray, dtype: DTypeLike = np.float64) -> NDArray[Any]:
-        """Return the cost (B,) of B sequences: `placements` (B, N) and `xi` (B, N, 3)."""
+        """Return the cost (B,) of B sequences, `placements` (B, N) and `xi` (B, N, 3), in the precision `dtype`."""
         return sequence_cost(self.chain(self.energies(placements, xi, dtype)), self.options)
 
     def energies(self, placements: IntArray, xi: FloatArray, dtype: DTypeLike = np.float64) -> NDArray[Any]:
-        """Return the energies (..., G) of intermediate poses: `placements` (...) and `xi` (..., 3)."""
+        """Return energies (..., G), of type `dtype`, of intermediate poses: `placements` (...) and `xi` (..., 3)."""
         return block(self.energy(self.poses(placements, xi), dtype), self.ruled_out(placements, xi))
 
     def ruled_out(self, placements: IntArray, xi: FloatArray) -> BoolArray:
@@ -98,7 +98,7 @@ class SequenceObjective:
         return np.flatnonzero((self.start_energy < BLOCKED) | (self.goal_energy < BLOCKED))
 
     def chain(self, middle: NDArray[Any]) -> NDArray[Any]:
-        """Return energies (B, N+2, G) of whole sequences from those of the intermediate poses (B, N, G)."""
+        """Return energies (B, N+2, G) of whole sequences from `middle` (B, N, G), those of the intermediate poses."""
         shape = (len(middle), 1, middle.shape[-1])
         ends = [np.broadcast_to(e.astype(middle.dtype), shape) for e in (self.start_energy, self.goal_energy)]
         return np.concatenate([ends[0], middle, ends[1]], axis=1)

@@ -54,7 +54,7 @@ class GraspSet:
         return len(self.width)
 
     def subset(self, ids: ArrayLike) -> GraspSet:
-        """Return the grasps with these indices (K,), or where this mask (G,) is true, in that order."""
+        """Return the grasps whose indices `ids` (K,) are, or where the mask `ids` (G,) is true, in that order."""
         index = np.asarray(ids)
         index = index if index.dtype == bool else index.astype(np.int64)
         return GraspSet(self.T_object_tcp[index], self.width[index], self.kind)
@@ -64,13 +64,13 @@ class GraspSet:
         return content_hash("grasps", self.kind, self.T_object_tcp, self.width)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the set to an ``.npz`` file, whole or not at all."""
+        """Write the set to the ``.npz`` file `path`, whole or not at all."""
         with atomic_path(path) as temporary, temporary.open("wb") as file:
             np.savez(file, T_object_tcp=self.T_object_tcp, width=self.width, kind=np.array(self.kind))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> GraspSet:
-        """Read a set written by `save`.
+        """Return the set that `save` wrote to `path`.
 
         Raises
         ------

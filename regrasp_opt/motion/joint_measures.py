@@ -72,7 +72,7 @@ class JointMeasures:
 
 @dataclass(frozen=True)
 class Bounds:
-    """What measures must keep to: the most travel [rad] and cost, the least clearance [m] and manipulability."""
+    """What to keep to: the most `travel` [rad] and `cost`, the least `clearance` [m] and `manipulability`."""
 
     travel: float = math.inf
     clearance: float = 0.0

@@ -111,14 +111,14 @@ class MotionPlan:
         return np.concatenate([[0.0], np.cumsum(durations)])[:-1] if durations else np.zeros(0)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the motion with its plan as JSON, atomically (docs/motion.md)."""
+        """Write the motion with its plan to `path` as JSON, whole or not at all (docs/motion.md)."""
         from regrasp_opt.motion.motion_file import save_motion
 
         save_motion(self, path)
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> MotionPlan:
-        """Read a motion and the plan that it carries out.
+        """Return the motion in the file `path`, with the plan that it carries out.
 
         Raises
         ------
@@ -130,7 +130,13 @@ class MotionPlan:
         return load_motion(path)
 
     def save_csv(self, path: str | os.PathLike[str], step: float = 0.01) -> None:
-        """Write positions and velocities of all joints at every `step` seconds as CSV, atomically."""
+        """Write positions and velocities of all joints at every `step` seconds to `path` as CSV, whole or not at all.
+
+        Raises
+        ------
+        OptionError, PlanFileError
+            If `step` is not positive, or there is no motion.
+        """
         from regrasp_opt.motion.motion_file import save_motion_csv
 
         save_motion_csv(self, path, step)

@@ -89,7 +89,7 @@ class Trajectory:
         return Trajectory(self.times * factor, self.positions, self.velocities / factor)
 
     def within(self, velocity: FloatArray, acceleration: FloatArray) -> Trajectory:
-        """Return it slowed down, if needed, until all speeds and accelerations are within limits (dof,)."""
+        """Return it slowed down, if needed, to the limits `velocity` and `acceleration` (dof,) [rad/s, rad/s^2]."""
         factor = max((self.peak_velocity() / velocity).max(), np.sqrt((self.peak_acceleration() / acceleration).max()))
         return self.slowed(float(factor) * (1 + 1e-9)) if factor > 1 else self
 

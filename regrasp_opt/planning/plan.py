@@ -111,14 +111,14 @@ class RegraspPlan:
         return compute_residuals(self)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the plan as JSON, atomically (docs/plan-file.md)."""
+        """Write the plan to `path` as JSON, whole or not at all (docs/plan-file.md)."""
         from regrasp_opt.planning.plan_file import save_plan
 
         save_plan(self, path)
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> RegraspPlan:
-        """Read a plan and the problem that it was made for.
+        """Return the plan in the file `path`, with the problem that it was made for.
 
         Raises
         ------

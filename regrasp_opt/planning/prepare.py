@@ -68,6 +68,8 @@ def prepare(
         Candidate grasps of the model.
     out : path, optional
         Folder of the model; by default one in the user's data folder, where `RegraspProblem.load` finds it.
+    seed : int
+        The same seed gives the same model on the same machine.
     jobs : int
         Worker processes for labelling, as joblib counts them.
     progress : callable, optional
@@ -86,6 +88,8 @@ def prepare(
         If no grasp fits the object or none is feasible in the workspace.
     ModelError
         If the labels cannot train an energy.
+    OptionError
+        For fewer than 100 samples, no grasps, or no workers.
     """
     if samples < 100 or num_grasps < 1:
         raise OptionError(f"samples is {samples} and num_grasps {num_grasps}; give at least 100 and 1")

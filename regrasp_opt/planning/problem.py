@@ -49,6 +49,8 @@ class RegraspProblem:
         Stable placements on this workcell's table: ``.pose`` (4, 4) T_world_object at xi = 0, ``.margin``.
     model_folder : Path or None
         Where the prepared model was found.
+    preset : {"default", "paper"}
+        Which of the prepared energies is used.
     """
 
     object: ObjectModel
@@ -88,6 +90,10 @@ class RegraspProblem:
             As of `load_object`.
         preset : {"default", "paper"}
             Which of the prepared energies to plan with.
+
+        Returns
+        -------
+        RegraspProblem
 
         Raises
         ------
@@ -159,14 +165,31 @@ class RegraspProblem:
     def objective(
         self, start_energy: FloatArray, goal_energy: FloatArray, options: CostOptions | None = None
     ) -> SequenceObjective:
-        """Return ``J_seq`` between ends of known energies (G,), with what the table rules out."""
+        """Return ``J_seq`` between two ends, with what the table rules out.
+
+        Parameters
+        ----------
+        start_energy, goal_energy : (G,)
+            Known energies of all grasps at both ends.
+        options : CostOptions, optional
+            The paper's by default.
+        """
         bounds, options = self.workcell.bounds.array, options or CostOptions()
         return SequenceObjective(
             self.energy, self.placement_poses, start_energy, goal_energy, bounds, options, self.table_rule
         )
 
     def pose(self, placement: int, x: float, y: float, yaw: float = 0.0) -> FloatArray:
-        """Return the pose (4, 4) T_world_object of a stable placement moved by (x, y, yaw) [m, m, rad] (Eq. 6).
+        """Return the pose (4, 4) T_world_object of a stable placement moved in the plane (Eq. 6).
+
+        Parameters
+        ----------
+        placement : int
+            Its number in `placements`.
+        x, y : float
+            Where the centre of mass stands [m].
+        yaw : float
+            Turn about the vertical [rad].
 
         Raises
         ------

@@ -77,7 +77,17 @@ class Recipe:
         num_regrasps: int,
         rng: np.random.Generator,
     ) -> Candidates:
-        """Return start points for all batches; lattice chains come with the fallback's behind them."""
+        """Return start points for all batches; lattice chains come with the fallback's behind them.
+
+        Parameters
+        ----------
+        lattice : callable
+            Returns the lattice of the problem; called only if `starts` is ``"lattice"``.
+        objective : SequenceObjective
+        num_regrasps : int
+            N, the number of intermediate poses.
+        rng : Generator
+        """
         wanted = sum(self.batches)
         if self.starts == "lattice":
             return lattice_starts(lattice(), objective, num_regrasps, wanted + self.fallback, rng)

@@ -39,12 +39,15 @@ def capsule_distance(a: Any, b: Any, radius_ab: Any, c: Any, d: Any, radius_cd: 
 
 
 def sphere_capsule_distance(center: Any, radius: Any, a: Any, b: Any, radius_ab: Any) -> Any:
-    """Return the distance [m] of a sphere to the capsule from `a` to `b` (3,); negative where they overlap."""
+    """Return the distance [m] of a sphere to a capsule; negative where they overlap.
+
+    The sphere has its `center` (3,) and `radius`, the capsule goes from `a` to `b` (3,) with `radius_ab` [m].
+    """
     return ca.sqrt(point_segment_squared_distance(center, a, b) + ROUNDING**2) - radius - radius_ab
 
 
 def point_segment_squared_distance(p: Any, a: Any, b: Any) -> Any:
-    """Return the squared distance [m^2] of a point to the segment from `a` to `b` (3,), which may have no length."""
+    """Return the squared distance [m^2] of `p` (3,) to the segment from `a` to `b` (3,), which may have no length."""
     along = b - a
     t = _clamp(ca.dot(p - a, along) / (ca.dot(along, along) + _PARALLEL))
     return ca.sumsqr(p - a - t * along)
@@ -62,7 +65,7 @@ def segment_squared_distance(a: Any, b: Any, c: Any, d: Any) -> Any:
 
 
 def point_box_distance(p: Any, half: Any) -> Any:
-    """Return the signed distance [m] of a point, in the box's frame, to a box of half edge lengths `half` (3,)."""
+    """Return the signed distance [m] of `p` (3,), in the box's frame, to a box of half edge lengths `half` (3,)."""
     beyond = ca.fabs(p) - half
     outside = ca.sqrt(ca.sumsqr(ca.fmax(beyond, 0)) + ROUNDING**2)
     return outside + ca.fmin(ca.mmax(beyond), 0)

@@ -33,7 +33,7 @@ def flange_jacobian(robot: Robot) -> Any:
 
 
 def frame_kinematics(model: pin.Model, frame: str) -> Any:
-    """Return the `casadi.Function` ``q`` (nq,) -> ``T`` (4, 4), the pose of a frame in the model's base frame.
+    """Return the `casadi.Function` ``q`` (nq,) -> ``T`` (4, 4), the pose of `frame` in the base frame of `model`.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def link_kinematics(model: pin.Model) -> Any:
 
 
 def frame_jacobian(model: pin.Model, frame: str) -> Any:
-    """Return the `casadi.Function` ``q`` (nq,) -> ``J`` (6, nv) of a frame of `model`.
+    """Return the `casadi.Function` ``q`` (nq,) -> ``J`` (6, nv) of the frame named `frame` of `model`.
 
     ``J v`` is the velocity of the frame's origin [m/s], then the frame's angular velocity [rad/s], both along the axes
     of the base frame (Pinocchio's LOCAL_WORLD_ALIGNED).

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import pytest
 
+from regrasp_opt import Status
 from regrasp_opt.cli.app import run
 
 ROOT = Path(__file__).parents[2]
@@ -14,6 +15,9 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 FENCE = re.compile(
     r"^(?P<mark><!-- not run: [^\n]+ -->\n)?```(?P<language>python|bash|console)\n(?P<code>.*?)^```$", re.M | re.S
 )
+
+
+EXIT_CODES = {"error": 2} | {status.name.lower(): int(status is not Status.SOLVED) for status in Status}
 
 
 class Block(NamedTuple):
@@ -51,7 +55,7 @@ def run_transcript(block: Block, capsys: pytest.CaptureFixture[str]) -> None:
     code = run(arguments(command[2:]))
     out, err = capsys.readouterr()
     assert (out + err).splitlines() == said
-    assert code == (2 if said[0].startswith("error:") else 0)
+    assert code == EXIT_CODES.get(said[0].split(":")[0], 0)
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if blocks(p)], ids=lambda p: p.stem)
