@@ -38,7 +38,7 @@ PLANNERS: dict[str, Callable[[], Recipe]] = {
     "ipopt L-BFGS from Langevin": lambda: Recipe(
         NlpRefiner(ProgramOptions(hessian="limited-memory")), starts="langevin", fallback=0
     ),
-    "Langevin from lattice": lambda: Recipe(LangevinRefiner(anneal=True), batches=(50,), proved=50, fallback=0),
+    "Langevin from lattice": lambda: Recipe(LangevinRefiner(anneal=True)),
     "Langevin": RECIPES["langevin"],
     "lattice": RECIPES["lattice"],
     "random poses": lambda: Recipe(LatticeRefiner(), starts="random", batches=(1000,), proved=1000, fallback=0),
