@@ -154,12 +154,14 @@ def lattice_starts(
     else:
         chains, cost = _chains(P, from_start, to_goal, num_regrasps, rng)
     order = np.argsort(cost, kind="stable")[:RANKED]
-    order = order[cost[order] < -np.log(LEAST_CHANCE)]
     ranked = chains[order]
     chosen = ranked[_different(lattice.cells[ranked], count)]
-    middle = lattice.energies[chosen].astype(np.float64)
-    final = sequence_cost(objective.chain(middle), objective.options)
-    return Candidates(lattice.placements[chosen], lattice.xi[chosen], final)
+    energies = objective.chain(lattice.energies[chosen].astype(np.float64))
+    shared = np.exp(-(energies[:, :-1] + energies[:, 1:])).sum(axis=2)
+    worth = shared_cost(shared).sum(axis=1) < -np.log(LEAST_CHANCE)
+    chosen = chosen[worth]
+    cost = sequence_cost(energies[worth], objective.options)
+    return Candidates(lattice.placements[chosen], lattice.xi[chosen], cost)
 
 
 def _chains(
