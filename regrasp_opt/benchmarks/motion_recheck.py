@@ -30,9 +30,6 @@ TURN = np.deg2rad(0.2)
 CONTINUITY = 1e-6
 """Largest jump between segments, and largest error of a pose at grasp and release [rad, m, rad/s]."""
 
-STILL = (Phase.GRASP, Phase.RELEASE)
-"""Phases in which the arm rests."""
-
 TABLE_CONTACT = 1.1e-3
 """How far a held object may sink into the table where it is lifted or lowered [m]: as at rest, and 0.1 mm."""
 
@@ -123,8 +120,7 @@ class _Checker:
                 self._say(b, "the arm's speed jumps at the beginning")
             if abs(a.jaw[1] - b.jaw[0]) > CONTINUITY:
                 self._say(b, "the jaw jumps at the beginning")
-        first, last = motion.segments[0], motion.segments[-1]
-        for s, rows in ((first, [0]), (last, [-1]), *((s, slice(None)) for s in motion.segments if s.phase in STILL)):
+        for s, rows in self._resting():
             still = np.ptp(s.trajectory.positions[rows], axis=0).max() <= CONTINUITY
             if not still or np.abs(s.trajectory.velocities[rows]).max() > CONTINUITY:
                 self._say(s, "the arm does not rest")
@@ -138,6 +134,12 @@ class _Checker:
                     wanted = plan.poses[T] @ self.problem.grasps.T_object_tcp[s.grasp_id]
                     if np.abs(tcp - wanted).max() > CONTINUITY:
                         self._say(s, f"the hand misses the grasp by {np.abs(tcp - wanted).max():.2g}")
+
+    def _resting(self) -> list[tuple[Segment, slice]]:
+        """Return where the arm must rest: segments, and their knots."""
+        segments = self.motion.segments
+        still = [(s, slice(None)) for s in segments if s.phase in (Phase.GRASP, Phase.RELEASE)]
+        return [(segments[0], slice(0, 1)), (segments[-1], slice(-1, None)), *still]
 
     def _limits(self, segment: Segment) -> None:
         path, robot = segment.trajectory, self.robot

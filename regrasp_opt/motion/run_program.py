@@ -40,6 +40,9 @@ SMOOTHNESS = 0.02
 SLOWEST = 1e-3
 """Least speed along a line away from its rest [1/s]."""
 
+SHORTEST = 1e-3
+"""Least time of a cubic [s]."""
+
 FEASIBLE = 1e-3
 """Violation of a limit, as a share of it, that slowing down takes back."""
 
@@ -132,15 +135,12 @@ class _RunProgram:
         lines = [(line, end) for end, line in enumerate((before, after)) if line is not None]
         speeds = [_speeds(line, velocity, acceleration, end) for line, end in lines]
         q = crossing.guess
-        h = 1.5 * float((np.abs(np.diff(q, axis=0)) / velocity).max()) + 1e-3
+        h = 1.5 * float((np.abs(np.diff(q, axis=0)) / velocity).max()) + SHORTEST
         v = (q[2:] - q[:-2]) / (2 * h)
         x0 = np.concatenate([*speeds, q[1:-1].ravel(), v.ravel(), [h]])
-        low = np.concatenate(
-            [[SLOWEST] * (LINE_STEPS * len(lines)), crossing.lower[1:-1].ravel(), -np.inf + 0 * v.ravel(), [1e-3]]
-        )
-        high = np.concatenate(
-            [[np.inf] * (LINE_STEPS * len(lines)), crossing.upper[1:-1].ravel(), np.inf + 0 * v.ravel(), [np.inf]]
-        )
+        slow, free = np.full(LINE_STEPS * len(lines), SLOWEST), np.full(v.size, np.inf)
+        low = np.concatenate([slow, crossing.lower[1:-1].ravel(), -free, [SHORTEST]])
+        high = np.concatenate([np.full(slow.size, np.inf), crossing.upper[1:-1].ravel(), free, [np.inf]])
         p = np.concatenate(
             [velocity, acceleration, *(part.ravel() for line, _ in lines for part in line[1:]), q[0], q[-1]]
         )
@@ -163,7 +163,8 @@ class _RunProgram:
             found[2 * end] = Trajectory(times, line.positions, line.slope * speeds[:, None])
             ends[end] = found[2 * end].velocities[-1 if end == 0 else 0]
         positions = np.vstack([guess[:1], Q, guess[-1:]])
-        found[1] = Trajectory(h * np.arange(STEPS + 1), positions, np.vstack([ends[0], V, ends[1]]))
+        times = np.linspace(0.0, STEPS * h, STEPS + 1)
+        found[1] = Trajectory(times, positions, np.vstack([ends[0], V, ends[1]]))
         return [found[k] for k in sorted(found)]
 
 
