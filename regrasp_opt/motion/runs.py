@@ -81,6 +81,7 @@ def _attempt(connector: Connector, run: list[Segment], share: float, radius: flo
         before, rest = _cut(connector, paths.pop(0), share)
         rests.append(rest)
     middle = paths[0].at(np.linspace(0.0, paths[0].duration, DENSE))
+    middle[[0, -1]] = paths[0].positions[[0, -1]]  # exactly
     if run[-1].phase in _ARRIVING:
         line, rest = _cut(connector, paths[-1].reversed(), share)
         after = Line(line.positions[::-1], -line.slope[::-1], line.bend[::-1])

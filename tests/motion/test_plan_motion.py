@@ -193,12 +193,12 @@ def test_every_lift_rises(bottle_plan, monkeypatch):
     asked = []
 
     def nowhere(connector, setting, q, directions):
-        asked.append((connector.robot.forward(q)[:3, :3], directions))
+        asked.append(directions)
 
     monkeypatch.setattr(Connector, "away", nowhere)
     motion = plan_motion(bottle_plan, MotionOptions(candidates=2))
     assert motion.status is MotionStatus.NO_MOTION and "lift" in motion.reason
-    assert {len(directions) for _, directions in asked} >= {1, 4}
-    for _, directions in asked:
+    assert {len(directions) for directions in asked} in ({1, 4}, {1, 5}, {1, 4, 5})
+    for directions in asked:
         assert np.allclose(np.linalg.norm(directions, axis=1), 1.0)
         assert (directions[:, 2] > 0.2).all()
