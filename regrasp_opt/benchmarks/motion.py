@@ -96,11 +96,13 @@ def motion_row(problem: RegraspProblem, instance: Instance, seed: int) -> list[R
     row |= {"moves": motion.solved, "motion_seconds": round(seconds - planned, 4), "seconds": round(seconds, 4)}
     if not motion.solved:
         return [row]
+    stopping = plan_motion(motion.plan, replace(options, optimise=False))
     found = recheck(motion)
     return [
         {
             **row,
             "duration": round(motion.duration, 3),
+            "stopping": round(stopping.duration, 3),
             "samples": found.samples,
             "collisions": found.collisions,
             "problems": "; ".join(found.problems),
@@ -135,6 +137,8 @@ def _table(rows: list[Row], names: list[str]) -> Table:
                 _median([row["seconds"] for row in moved]),
                 max((row["seconds"] for row in moved), default=None),
                 _median([row["duration"] for row in moved]),
+                _median([row["stopping"] for row in moved]),
+                _median([row["duration"] / row["stopping"] for row in moved]),
             )
         )
     return Table(
@@ -150,10 +154,13 @@ def _table(rows: list[Row], names: list[str]) -> Table:
             "both [s]",
             "slowest [s]",
             "takes [s]",
+            "with stops [s]",
+            "ratio",
         ),
         tuple(lines),
         "First moves: the first verified plan has a motion; moves: it or a later candidate has. Times are medians but "
-        "for the slowest; takes: how long the arm moves.",
+        "for the slowest; takes: how long the arm moves; with stops: before trajectory optimisation, which is part of "
+        "the time for the motion.",
     )
 
 

@@ -28,7 +28,7 @@ TURN = np.deg2rad(0.2)
 """Largest turn of any body between samples [rad]."""
 
 CONTINUITY = 1e-6
-"""Largest jump between segments, and largest error of a pose at grasp and release [rad, m]."""
+"""Largest jump between segments, and largest error of a pose at grasp and release [rad, m, rad/s]."""
 
 TABLE_CONTACT = 1.1e-3
 """How far a held object may sink into the table where it is lifted or lowered [m]: as at rest, and 0.1 mm."""
@@ -111,14 +111,20 @@ class _Checker:
             phases = [s.phase for s in motion.segments if s.transition == i]
             if [p for p in phases if p not in (Phase.REACH, Phase.RETURN)] != expected:
                 self.problems.append(f"transition {i} has the phases {[p.name for p in phases]}")
+            if len({s.grasp_id for s in motion.segments if s.transition == i}) > 1:
+                self.problems.append(f"transition {i} changes the grasp on its way")
         for a, b in zip(motion.segments[:-1], motion.segments[1:], strict=True):
             if np.abs(a.trajectory.positions[-1] - b.trajectory.positions[0]).max() > CONTINUITY:
                 self._say(b, "the arm jumps at the beginning")
+            if np.abs(a.trajectory.velocities[-1] - b.trajectory.velocities[0]).max() > CONTINUITY:
+                self._say(b, "the arm's speed jumps at the beginning")
             if abs(a.jaw[1] - b.jaw[0]) > CONTINUITY:
                 self._say(b, "the jaw jumps at the beginning")
+        for s, rows in self._resting():
+            still = np.ptp(s.trajectory.positions[rows], axis=0).max() <= CONTINUITY
+            if not still or np.abs(s.trajectory.velocities[rows]).max() > CONTINUITY:
+                self._say(s, "the arm does not rest")
         for s in motion.segments:
-            if np.abs(s.trajectory.velocities[[0, -1]]).max() > CONTINUITY:
-                self._say(s, "the arm does not rest at both ends")
             if s.grasp_id not in plan.transitions[s.transition].grasp_ids:
                 self._say(s, "the grasp is not shared by the two poses")
             for phase, row, T in ((Phase.GRASP, 0, s.transition), (Phase.RELEASE, -1, s.transition + 1)):
@@ -128,6 +134,12 @@ class _Checker:
                     wanted = plan.poses[T] @ self.problem.grasps.T_object_tcp[s.grasp_id]
                     if np.abs(tcp - wanted).max() > CONTINUITY:
                         self._say(s, f"the hand misses the grasp by {np.abs(tcp - wanted).max():.2g}")
+
+    def _resting(self) -> list[tuple[Segment, slice]]:
+        """Return where the arm must rest: segments, and their knots."""
+        segments = self.motion.segments
+        still = [(s, slice(None)) for s in segments if s.phase in (Phase.GRASP, Phase.RELEASE)]
+        return [(segments[0], slice(0, 1)), (segments[-1], slice(-1, None)), *still]
 
     def _limits(self, segment: Segment) -> None:
         path, robot = segment.trajectory, self.robot

@@ -11,11 +11,12 @@ import numpy as np
 
 from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.end_effectors import EndEffector
-from regrasp_opt.grasps.antipodal import FRICTION, MIN_WIDTH, WIDENINGS, contact_depths
+from regrasp_opt.grasps.antipodal import FRICTION, MIN_WIDTH, WIDENINGS, contact_depths, contact_pairs
+from regrasp_opt.grasps.candidates import frames_about
 from regrasp_opt.grasps.clearance import GripperClearance
 from regrasp_opt.grasps.grasp_set import GraspSet
 from regrasp_opt.grasps.suction import NO_SEAL, seal_grades
-from regrasp_opt.grasps.surface import Surface, cast_rays, make_surface
+from regrasp_opt.grasps.surface import Surface, cast_rays, make_surface, sample_points
 from regrasp_opt.objects import ObjectModel
 
 SHIFT = 0.03
@@ -39,6 +40,15 @@ class GraspSettler:
         self._surface = make_surface(model.mesh)
         self._clearance = GripperClearance(model.vertices, model.faces, end_effector)
         self._effector = end_effector
+
+    def anywhere(self, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """Return at most `count` tool poses (K, 4, 4) anywhere on the surface, and widths (K,); not settled yet."""
+        if self._effector.kind == "suction":
+            points, face = sample_points(self._surface, count, rng)
+            return frames_about(points, -self._surface.normals[face], 1, rng), np.zeros(count)
+        middle, closing, width = contact_pairs(self._surface, self._effector, count, rng)
+        chosen = rng.permutation(len(middle))[:count]
+        return frames_about(middle[chosen], closing[chosen], 1, rng, closing=True), width[chosen]
 
     def worst_grade(self, grasps: GraspSet) -> int:
         """Return the worst grade of seal among suction `grasps`; 0 for parallel ones."""

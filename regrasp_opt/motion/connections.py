@@ -43,9 +43,9 @@ class Connector:
         """Return the connector for `robot` that `options` ask for."""
         return Connector(robot, *options.limits(robot), options.distances)
 
-    def away(self, setting: Setting, q: FloatArray, direction: FloatArray) -> Trajectory | None:
-        """Return a proved straight motion of the tool from `q` (dof,) along `direction` (3,), in the base frame."""
-        for length in self.distances:
+    def away(self, setting: Setting, q: FloatArray, directions: FloatArray) -> Trajectory | None:
+        """Return a proved straight motion of the tool from `q` (dof,) along one of `directions` (D, 3), base frame."""
+        for direction, length in itertools.product(directions, self.distances):
             waypoints = line(self.robot, q, direction, length)
             if waypoints is None:
                 continue

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import itertools
 import time
-from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,9 +24,8 @@ from regrasp_opt.conventions import FloatArray, IntArray, planar_transform
 from regrasp_opt.energy.model import GraspEnergy
 from regrasp_opt.errors import OptionError
 from regrasp_opt.feasibility.dataset import random_poses
-from regrasp_opt.grasps import GraspSet
-from regrasp_opt.grasps.settling import GraspSettler
-from regrasp_opt.motion.free_grasp_program import ChainSolve, FreeGraspProgram, displaced, random_move
+from regrasp_opt.motion.free_grasp_pool import GraspPool
+from regrasp_opt.motion.free_grasp_program import ChainSolve, FreeGraspProgram, displaced
 from regrasp_opt.planning import RegraspPlan, RegraspProblem, Status, Transition, solve_sequence
 from regrasp_opt.planning.verification import PoseKnowledge, enumerate_transition
 from regrasp_opt.solvers.base import wrap_yaw
@@ -58,7 +57,8 @@ class FreeGraspOptions:
     steps : int
         Steps of the grasps of each chain.
     explored : int
-        Random moves of each round.
+        Random grasps of each round, moved from known ones and from anywhere on the surface; where few grasps work at
+        an end, twice as many more with low energy there.
     searches : tuple of int
         Rounds after which the planner searches the grown set.
     """
@@ -66,7 +66,7 @@ class FreeGraspOptions:
     rounds: int = 12
     chains: int = 10
     steps: int = 3
-    explored: int = 100
+    explored: int = 200
     searches: tuple[int, ...] = (4, 12)
 
     def __post_init__(self) -> None:
@@ -132,28 +132,6 @@ class _Chain(NamedTuple):
     grasp_ids: IntArray
 
 
-@dataclass
-class _Pool:
-    """The grown set."""
-
-    T: list[FloatArray]
-    width: list[float]
-    kind: Any
-    sampled: int = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.sampled = len(self.T)
-
-    def add(self, T: FloatArray, width: float) -> int:
-        """Append a grasp and return its number."""
-        self.T.append(T)
-        self.width.append(width)
-        return len(self.T) - 1
-
-    def grasps(self, ids: Any = slice(None)) -> GraspSet:
-        return GraspSet(np.array(self.T), np.array(self.width), self.kind).subset(np.arange(len(self.T))[ids])
-
-
 class _Search:
     """One search between two ends."""
 
@@ -162,20 +140,17 @@ class _Search:
     ) -> None:
         self.problem, self.ends, self.max_regrasps, self.seed, self.options = problem, ends, max_regrasps, seed, options
         self.rng = np.random.default_rng([seed, 17])
-        grasps = problem.grasps
-        self.pool = _Pool(list(grasps.T_object_tcp), grasps.width.tolist(), grasps.kind)
-        self.settler = GraspSettler(problem.object, problem.workcell.end_effector)
-        self.grade = self.settler.worst_grade(grasps)
+        self.pool = GraspPool(problem, ends, self.rng)
         self.model = problem.energy.model
         sizes = range(min(max_regrasps, 1) + 1)
-        self.programs = [FreeGraspProgram(self.model, size, grasps.kind) for size in sizes]
+        self.programs = [FreeGraspProgram(self.model, size, problem.grasps.kind) for size in sizes]
 
     def run(self) -> RegraspPlan | None:
         """Return a proved plan, or None."""
         for number in range(1, self.options.rounds + 1):
-            self._explore()
-            chains = [self._optimised(chain) for chain in self._chains(self._grown())]
-            grown = self._grown()
+            self.pool.explore(self.options.explored)
+            chains = [self._optimised(chain) for chain in self._chains()]
+            grown = self.pool.problem()
             for chain in chains:
                 if self._holds(grown, chain):
                     return self._plan_of(chain)
@@ -185,14 +160,10 @@ class _Search:
                     return self._trimmed(plan)
         return None
 
-    def _grown(self) -> RegraspProblem:
-        return replace(self.problem, grasps=self.pool.grasps())
-
-    def _chains(self, grown: RegraspProblem) -> list[_Chain]:
+    def _chains(self) -> list[_Chain]:
         """Return promising chains, a quarter of them without an intermediate pose, no two with the same grasps."""
-        problem, energy = self.problem, GraspEnergy(self.model, grown.grasps)
-        proved = np.array([grown.checker.feasible(T) for T in self.ends])
-        ends = np.where(proved, 0.0, np.maximum(energy(self.ends), UNPROVED))
+        problem, energy = self.problem, GraspEnergy(self.model, self.pool.grasps())
+        ends = np.where(self.pool.proved(), 0.0, np.maximum(energy(self.ends), UNPROVED))
         direct = np.argsort(ends.sum(axis=0) + NOISE * self.rng.gumbel(size=len(energy)))
         nothing = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
         count = self.options.chains if len(self.programs) == 1 else max(1, self.options.chains // 4)
@@ -210,16 +181,6 @@ class _Search:
                 seen.add(pair)
                 chains.append(_Chain(numbers[[k]], xi[[k]], ids[k]))
         return chains
-
-    def _explore(self) -> None:
-        """Add grasps turned at random about their contacts and slid along the surface, where they settle."""
-        base = self.rng.integers(len(self.pool.T), size=self.options.explored)
-        moves = [random_move(self.pool.kind, self.rng) for _ in base]
-        grasps, _ = self.settler.settle(
-            np.array([self.pool.T[k] @ D for k, D in zip(base, moves, strict=True)]), self.grade
-        )
-        for T, width in zip(grasps.T_object_tcp, grasps.width.tolist(), strict=True):
-            self.pool.add(T, width)
 
     def _optimised(self, chain: _Chain) -> _Chain:
         """Return the chain with its poses and grasps moved; the grasps have settled and joined the set."""
@@ -243,7 +204,7 @@ class _Search:
         """Return the number of the grasp in which a step settles, a shorter one if need be, else of the old grasp."""
         for share in (1.0, 0.5, 0.25):
             T = displaced(self.pool.T[grasp_id], share * step)
-            grasps, _ = self.settler.settle(T[None], self.grade)
+            grasps = self.pool.settled(T[None])
             if len(grasps):
                 return self.pool.add(grasps.T_object_tcp[0], float(grasps.width[0]))
         return grasp_id

@@ -16,6 +16,12 @@ from regrasp_opt.motion.scene import LEVELS, MotionScene, Setting
 from regrasp_opt.motion.trajectory import Trajectory
 from regrasp_opt.planning import RegraspPlan
 
+TILT = 1.0
+"""Tangent of the angle by which lines of the tool are tilted."""
+
+RISE = 0.3
+"""Least share by which the tool's axis must rise to be a direction of lifting."""
+
 
 @dataclass(frozen=True, eq=False)
 class Hold:
@@ -61,18 +67,22 @@ class Handling:
         self._width = float(problem.grasps.width[hold.grasp_id])
         self._open = self._width + 2 * problem.workcell.end_effector.pre_opening
         self._homeward = tools.home if index == len(tools.plan.transitions) - 1 else None
+        self._lines: dict[Phase, Trajectory] = {}
+        self._refused: set[tuple[Phase, bool]] = set()
         self._connections: dict[Phase, Trajectory] = {}
         self._bent: set[Phase] = set()
         self.blocked: Phase | None = None
 
-    def segments(self, iterations: int) -> list[Segment] | None:
+    def segments(self, iterations: int, tilted: bool = False) -> list[Segment] | None:
         """Return all segments of the transition, or None if one of them is not found.
 
-        With no `iterations` of the sampling planner the motions in joint space must be straight.
+        With no `iterations` of the sampling planner the motions in joint space must be straight. With `tilted` the
+        straight lines of the tool may be tilted.
         """
-        if self._lines is None:
+        lines = self._straight_lines(tilted)
+        if lines is None:
             return None
-        approach, lift, lower, retreat = self._lines
+        approach, lift, lower, retreat = lines
         start, hold, scene = self._start, self._hold, self._tools.scene
         wide, narrow = (self._open, self._open), (self._width, self._width)
         opening = self._open if start.opening is None else start.opening
@@ -120,27 +130,40 @@ class Handling:
             self._connections[phase] = found
         return found
 
-    @cached_property
-    def _lines(self) -> tuple[Trajectory, Trajectory, Trajectory, Trajectory] | None:
-        """Approach, lift, lowering and retreat, or None if one of them is not possible."""
-        hold, found = self._hold, dict[Phase, Trajectory]()
-        ends = ((Phase.GRASP, hold.q_pick, self._T_pick), (Phase.RELEASE, hold.q_place, self._T_place))
-        for phase, q, T in ends:
-            if not self._grips(q, T):
-                self.blocked = phase
-                return None
+    def _straight_lines(self, tilted: bool) -> tuple[Trajectory, Trajectory, Trajectory, Trajectory] | None:
+        """Return approach, lift, lowering and retreat, or None if one of them is not possible."""
+        hold = self._hold
+        if not self._holds:
+            return None
         for phase, make, q, T in (
             (Phase.LIFT, self._up, hold.q_pick, self._T_pick),
             (Phase.LOWER, self._up, hold.q_place, self._T_place),
             (Phase.APPROACH, self._back, hold.q_pick, self._T_pick),
             (Phase.RETREAT, self._back, hold.q_place, self._T_place),
         ):
-            trajectory = make(q, T)
-            if trajectory is None:
+            if phase in self._lines:
+                continue
+            found = None if (phase, tilted) in self._refused else make(q, T, tilted)
+            if found is None:
+                self._refused.add((phase, tilted))
                 self.blocked = phase
                 return None
-            found[phase] = trajectory
-        return found[Phase.APPROACH].reversed(), found[Phase.LIFT], found[Phase.LOWER].reversed(), found[Phase.RETREAT]
+            self._lines[phase] = found
+        lines = self._lines
+        return lines[Phase.APPROACH].reversed(), lines[Phase.LIFT], lines[Phase.LOWER].reversed(), lines[Phase.RETREAT]
+
+    @cached_property
+    def _holds(self) -> bool:
+        """Whether the object is gripped at both poses."""
+        ends = (
+            (Phase.GRASP, self._hold.q_pick, self._T_pick),
+            (Phase.RELEASE, self._hold.q_place, self._T_place),
+        )
+        for phase, q, T in ends:
+            if not self._grips(q, T):
+                self.blocked = phase
+                return False
+        return True
 
     def _grips(self, q: FloatArray, T_world_object: FloatArray) -> bool:
         """Return whether the arm at `q` (dof,) holds the grasp, with room for the jaw; plans may come from files."""
@@ -151,17 +174,37 @@ class Handling:
             return False
         return self._tools.scene.closing(T_world_object, (self._width, self._open)).passes(q, len(LEVELS) - 1)
 
-    def _up(self, q: FloatArray, T_world_object: FloatArray) -> Trajectory | None:
+    def _up(self, q: FloatArray, T_world_object: FloatArray, tilted: bool) -> Trajectory | None:
         """Return the straight lift from the object's resting pose (4, 4)."""
-        setting = self._tools.scene.lifting(self._hold.grasp_id, T_world_object)
-        up: FloatArray = self._tools.plan.problem.workcell.T_base_world[:3, 2]
-        return self._tools.connector.away(setting, q, up)
+        cell, setting = (
+            self._tools.plan.problem.workcell,
+            self._tools.scene.lifting(self._hold.grasp_id, T_world_object),
+        )
+        flange = cell.robot.forward(q)
+        up = cell.T_base_world[:3, 2]
+        directions = up[None]
+        if tilted:
+            sideways = np.cross(up, flange[:3, 3])
+            level = [np.cross(sideways, up), sideways]  # away from the base, and across
+            level = [vector / max(float(np.linalg.norm(vector)), 1e-9) for vector in level]
+            directions = np.array([up + TILT * sign * vector for vector in level for sign in (-1.0, 1.0)])
+            back = -flange[:3, 2]
+            if back @ up > RISE:
+                directions = np.vstack([back, directions])
+        return self._tools.connector.away(setting, q, _units(directions))
 
-    def _back(self, q: FloatArray, T_world_object: FloatArray) -> Trajectory | None:
-        """Return the straight retreat of the open jaw from the object at (4, 4), along the tool's axis."""
+    def _back(self, q: FloatArray, T_world_object: FloatArray, tilted: bool) -> Trajectory | None:
+        """Return the straight retreat of the open jaw from the object at (4, 4), back along the tool's axis."""
         setting = self._tools.scene.beside(T_world_object, (self._open, self._open))
-        axis: FloatArray = self._tools.plan.problem.workcell.robot.forward(q)[:3, 2]
-        return self._tools.connector.away(setting, q, -axis)
+        x, _, z = self._tools.plan.problem.workcell.robot.forward(q)[:3, :3].T
+        directions = np.array([-z - TILT * x, -z + TILT * x] if tilted else [-z])
+        return self._tools.connector.away(setting, q, _units(directions))
+
+
+def _units(vectors: FloatArray) -> FloatArray:
+    """Return `vectors` (D, 3) scaled to length 1."""
+    units: FloatArray = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    return units
 
 
 def _rest(q: FloatArray) -> Trajectory:

@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from regrasp_opt.conventions import FloatArray, IntArray
+from regrasp_opt.errors import OptionError
 from regrasp_opt.planning import RegraspPlan, RegraspProblem
 from regrasp_opt.robots import Robot
 from regrasp_opt.robots.casadi_kinematics import flange_jacobian
@@ -72,12 +73,23 @@ class JointMeasures:
 
 @dataclass(frozen=True)
 class Bounds:
-    """What to keep to: the most `travel` [rad] and `cost`, the least `clearance` [m] and `manipulability`."""
+    """What to keep to: the most `travel` [rad] and `cost`, the least `clearance` [m] and `manipulability`.
+
+    Raises
+    ------
+    OptionError
+        If one of them is not a number.
+    """
 
     travel: float = math.inf
     clearance: float = 0.0
     manipulability: float = 0.0
     cost: float = math.inf
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not isinstance(value, (int, float, np.number)) or math.isnan(value):
+                raise OptionError(f"the bound on the {name} is {value}; give a number")
 
     def tightened(self, measures: JointMeasures, names: Iterable[Measure]) -> Bounds:
         """Return these bounds, those of `names` no looser than `measures`."""

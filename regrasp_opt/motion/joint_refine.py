@@ -124,7 +124,10 @@ def refine_plan(
 
 def _checked_home(home: ArrayLike, problem: RegraspProblem) -> FloatArray:
     robot = problem.workcell.robot
-    q = np.asarray(home, dtype=np.float64)
+    try:
+        q = np.asarray(home, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise OptionError(f"home must be {robot.dof} joint values") from error
     if q.shape != (robot.dof,) or not robot.within_limits(q):
         raise OptionError(f"home is {np.round(q, 3).tolist()}; give {robot.dof} joint values within their limits")
     return q

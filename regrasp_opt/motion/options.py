@@ -37,6 +37,8 @@ class MotionOptions:
         Shared grasps of a transition that are tried at most.
     iterations : int
         Steps of the sampling planner for one connection.
+    optimise : bool
+        Whether stops between the phases are taken out, where what results is proved.
     seed : int
         The same seed gives the same motion.
 
@@ -52,6 +54,7 @@ class MotionOptions:
     distances: tuple[float, ...] = (0.10, 0.06, 0.03)
     candidates: int = 40
     iterations: int = 400
+    optimise: bool = True
     seed: int = 0
 
     def __post_init__(self) -> None:

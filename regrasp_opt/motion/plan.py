@@ -19,9 +19,9 @@ class Phase(Enum):
     REACH = "the arm moves, the jaw empty, to where the approach begins"
     APPROACH = "the open jaw moves along the tool's axis to the grasp"
     GRASP = "the jaw closes, the arm rests"
-    LIFT = "the object is lifted straight up"
+    LIFT = "the object is lifted along a straight line"
     TRANSFER = "the object is carried to above its next pose"
-    LOWER = "the object is lowered straight down"
+    LOWER = "the object is lowered along a straight line"
     RELEASE = "the jaw opens, the arm rests"
     RETREAT = "the open jaw moves back along the tool's axis"
     RETURN = "the arm returns home"
@@ -45,7 +45,7 @@ class MotionStatus(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """A part of a motion from rest to rest.
+    """A part of a motion; the arm rests while the jaw closes or opens.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class MotionPlan:
     plan : RegraspPlan
         The poses and grasps that are carried out.
     segments : tuple of Segment
-        In order, each beginning where the one before it ends; empty unless solved.
+        In order, each beginning where the one before it ends, and as fast; empty unless solved.
     velocity_limits, acceleration_limits : (dof,) float64
         What the motion was planned for [rad/s, rad/s^2].
     seconds : float

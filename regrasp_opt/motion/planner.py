@@ -3,7 +3,8 @@
 For each transition the shared grasps are tried in the order of how far the arm would have to move. A grasp is taken
 when all seven of its motions, and the way to its approach, were proved. Straight motions are tried first for all
 grasps of a group; only then does the sampling planner look for ways around, at first briefly, and for longer once all
-groups have failed. At last the arm's other configurations are tried in the same way.
+groups have failed. Where the straight lines of the tool are not possible, tilted ones follow. At last the arm's other
+configurations are tried in the same way.
 """
 
 from __future__ import annotations
@@ -21,12 +22,16 @@ from regrasp_opt.motion.connections import Connector
 from regrasp_opt.motion.handling import Handling, Hold, Rest, Tools
 from regrasp_opt.motion.options import MotionOptions
 from regrasp_opt.motion.plan import MotionPlan, MotionStatus, Phase, Segment
+from regrasp_opt.motion.runs import shortened
 from regrasp_opt.motion.scene import LEVELS, MotionScene
 from regrasp_opt.planning import RegraspPlan
 from regrasp_opt.threads import one_blas_thread
 
 GROUP = 4
 """Grasps that are tried with straight motions before the sampling planner is tried on them."""
+
+LINES = (Phase.LIFT, Phase.LOWER, Phase.APPROACH, Phase.RETREAT)
+"""Motions for which tilted lines are tried where straight ones fail."""
 
 BRIEF = 3
 """One in so many of the sampling planner's steps is spent on each grasp at first."""
@@ -84,6 +89,8 @@ def _plan(plan: RegraspPlan, options: MotionOptions, connector: Connector, home:
         segments += found
         before_home = [s for s in found if s.phase is not Phase.RETURN][-1]
         rest = Rest(before_home.trajectory.positions[-1], before_home.jaw[1])
+    if options.optimise:
+        segments = shortened(plan, scene, connector, segments)
     return _Result(MotionStatus.SOLVED, "", tuple(segments))
 
 
@@ -94,23 +101,31 @@ class _Transition:
 
     def run(self) -> list[Segment] | str:
         """Return the segments of the transition, or what is in the way."""
-        brief, full = max(1, self._options.iterations // BRIEF), self._options.iterations
         blocked = Counter[Phase]()
         for holds in (self._planned(), self._all_others()):
             ways = [Handling(self._tools, self._index, hold, self._start) for hold in self._nearest(holds)]
-            groups = [ways[k : k + GROUP] for k in range(0, len(ways), GROUP)]
-            rounds = [(group, iterations) for group in groups for iterations in (0, brief)] + [(ways, full)]
-            for group, iterations in rounds:
-                for way in group:
-                    found = way.segments(iterations)
-                    if found is not None:
-                        return found
+            found = self._first(ways, tilted=False)
+            found = found or self._first([way for way in ways if way.blocked in LINES], tilted=True)
+            if found:
+                return found
             blocked.update(way.blocked for way in ways if way.blocked is not None)
         causes = ", ".join(f"{count} at {phase.name.lower()}" for phase, count in blocked.most_common())
         return (
             f"no shared grasp of transition {self._index} admits a motion; of {blocked.total()} ways to hold the "
             f"object fail {causes}"
         )
+
+    def _first(self, ways: list[Handling], *, tilted: bool) -> list[Segment] | None:
+        """Return the segments of the first of `ways` that is possible."""
+        brief, full = max(1, self._options.iterations // BRIEF), self._options.iterations
+        groups = [ways[k : k + GROUP] for k in range(0, len(ways), GROUP)]
+        rounds = [(group, iterations) for group in groups for iterations in (0, brief)] + [(ways, full)]
+        for group, iterations in rounds:
+            for way in group:
+                found = way.segments(iterations, tilted)
+                if found is not None:
+                    return found
+        return None
 
     def _planned(self) -> Iterator[Hold]:
         """Yield the shared grasps with the configurations of the plan."""

@@ -15,5 +15,6 @@ def test_motions_are_measured_and_proved_again(tmp_path, monkeypatch):
     assert row["solved"] and row["first_moves"] and row["moves"]
     assert row["collisions"] == 0 and row["problems"] == "" and row["samples"] > 1000
     assert row["velocity"] <= 1 and row["acceleration"] <= 1 and row["least_mm"] > 0
+    assert 0 < row["duration"] < row["stopping"]
     assert row["seconds"] >= row["pose_seconds"] > 0
     assert motion.run_motion(session).rows == report.rows

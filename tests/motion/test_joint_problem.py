@@ -225,6 +225,16 @@ def test_an_unreachable_travel_is_named_with_its_shortfall(plan):
     assert "off the bound of at most 0.5 rad; Ipopt ended with" in result.reason
 
 
+@pytest.mark.parametrize(
+    ("name", "bound", "said"),
+    [("manipulability", 0.5, "short of the bound of at least 0.5"), ("cost", -50.0, "off the bound of at most -50")],
+)
+def test_other_unreachable_bounds_are_named_with_their_shortfall(plan, name, bound, said):
+    result = refine_plan(plan, bounds=Bounds(**{name: bound}), options=SHORT)
+    assert result.plan is plan and result.after == result.before and result.discrete is None
+    assert f"the {name}" in result.reason and said in result.reason
+
+
 def test_a_failure_of_ipopt_leaves_the_poses_and_the_best_choice_of_grasps(plan):
     before = plan.residuals()
     result = refine_plan(plan, options=SearchOptions(starts=1, rounds=1, ipopt={"max_iter": 1, "mu_init": 1e3}))
@@ -275,6 +285,13 @@ def test_bad_input_is_refused(plan, bottle_problem):
         refine_plan(plan, "speed")
     with pytest.raises(OptionError, match="give 6 joint values within their limits"):
         refine_plan(plan, home=np.full(6, 100.0))
+    with pytest.raises(OptionError, match="home must be 6 joint values"):
+        refine_plan(plan, home="robot")
+    with pytest.raises(OptionError, match="give 6 joint values within their limits"):
+        refine_plan(plan, home=np.full(6, np.nan))
+    for name in ("travel", "clearance", "manipulability", "cost"):
+        with pytest.raises(OptionError, match=f"the bound on the {name} is nan; give a number"):
+            Bounds(**{name: float("nan")})
     with pytest.raises(OptionError, match="Ipopt cannot be set up"):
         refine_plan(plan, options=SearchOptions(starts=1, rounds=1, ipopt={"no_such_option": 1}))
     with pytest.raises(OptionError, match="starts is 0"):

@@ -9,7 +9,7 @@ from regrasp_opt import Recipe, Status, solve_sequence
 from regrasp_opt.benchmarks.motion_recheck import recheck
 from regrasp_opt.conventions import translation
 from regrasp_opt.errors import OptionError
-from regrasp_opt.motion import MotionOptions, MotionStatus, Phase, plan_motion, plan_with_motion
+from regrasp_opt.motion import MotionOptions, MotionStatus, Phase, connections, plan_motion, plan_with_motion
 from regrasp_opt.motion import together as together_module
 from regrasp_opt.motion.connections import Connector
 from regrasp_opt.shapes import Box
@@ -167,3 +167,38 @@ def test_together_without_any_plan(bottle_plan):
     start, goal = bottle_plan.poses[[0, -1]]
     motion = plan_with_motion(bottle_plan.problem, start, goal, max_regrasps=0)
     assert motion.status is MotionStatus.NO_PLAN and "not_found" in motion.reason
+
+
+def test_lines_are_tilted_where_no_grasp_can_be_lifted_straight(bottle_plan, monkeypatch):
+    """Vertical lines are refused, as if the arm could not reach higher there."""
+    original = connections.line
+
+    def no_vertical(robot, q, direction, length):
+        return None if abs(direction[2]) > 0.99 else original(robot, q, direction, length)
+
+    monkeypatch.setattr(connections, "line", no_vertical)
+    options = MotionOptions(home=None, candidates=6)
+    motion = plan_motion(bottle_plan, options)
+    assert motion.solved, motion.reason
+    found = recheck(motion)
+    assert found.problems == () and found.collisions == 0
+    forward = bottle_plan.problem.workcell.robot.forward
+    for segment in motion.segments:
+        if segment.phase is Phase.LIFT:
+            way = np.diff([forward(q)[:3, 3] for q in segment.trajectory.positions[[0, -1]]], axis=0)[0]
+            assert 0.2 < way[2] / np.linalg.norm(way) < 0.99
+
+
+def test_every_lift_rises(bottle_plan, monkeypatch):
+    asked = []
+
+    def nowhere(connector, setting, q, directions):
+        asked.append(directions)
+
+    monkeypatch.setattr(Connector, "away", nowhere)
+    motion = plan_motion(bottle_plan, MotionOptions(candidates=2))
+    assert motion.status is MotionStatus.NO_MOTION and "lift" in motion.reason
+    assert {len(directions) for directions in asked} in ({1, 4}, {1, 5}, {1, 4, 5})
+    for directions in asked:
+        assert np.allclose(np.linalg.norm(directions, axis=1), 1.0)
+        assert (directions[:, 2] > 0.2).all()
