@@ -115,7 +115,7 @@ class NlpSolver:
         )
 
 
-class _Recorder(ca.Callback):  # type: ignore[misc]
+class _Recorder(ca.Callback):
     """What a CasADi solver calls after each iteration: it keeps ``x``."""
 
     def __init__(self, program: Mapping[str, Any]) -> None:

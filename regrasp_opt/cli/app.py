@@ -226,6 +226,14 @@ def show(
     plan: PlanArgument,
     motion: Annotated[Path | None, typer.Option(help="A motion of the plan, saved by 'motion --out'.")] = None,
     html: Annotated[Path | None, typer.Option(help="Write one page that needs no network, and end.")] = None,
+    candidates: Annotated[
+        str | None,
+        typer.Option(
+            metavar="REFINER",
+            help="Plan once more with this refiner and show its candidates by iteration.",
+            autocompletion=names(REFINERS),
+        ),
+    ] = None,
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the live view.")] = 8080,
 ) -> int:
     """Show a saved plan in the browser: a live view until Ctrl+C, or one page in a file.
@@ -235,10 +243,12 @@ def show(
     regrasp-opt show plan.json
 
     regrasp-opt show plan.json --motion motion.json --html motion.html
+
+    regrasp-opt show plan.json --candidates ipopt --html candidates.html
     """
     from regrasp_opt.cli.show import run_show
 
-    return run_show(plan, motion=motion, html=html, port=port)
+    return run_show(plan, motion=motion, html=html, port=port, candidates=candidates)
 
 
 @app.command()

@@ -13,11 +13,10 @@ from regrasp_opt.connectivity.objective import exact_energy
 from regrasp_opt.errors import OptionError
 from regrasp_opt.planning import RegraspPlan
 from regrasp_opt.solvers.lattice import YAWS
+from regrasp_opt.viz.candidates import RANGE
 from regrasp_opt.viz.fields import cost_field
 
 COLOURS = "viridis"
-RANGE = 10.0
-"""Costs that are farther than this above the least are drawn alike: there the model expects no shared grasp."""
 
 START, GOAL, HERE = "#0072b2", "#009e73", "#d55e00"
 
