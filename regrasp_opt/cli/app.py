@@ -234,9 +234,13 @@ def show(
             autocompletion=names(REFINERS),
         ),
     ] = None,
+    plots: Annotated[
+        Path | None, typer.Option(help="Write plots of the cost, and of the candidates, to this folder, and end.")
+    ] = None,
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the live view.")] = 8080,
+    json: Annotated[bool, typer.Option("--json", help="Print what was written, or the address, as JSON.")] = False,
 ) -> int:
-    """Show a saved plan in the browser: a live view until Ctrl+C, or one page in a file.
+    """Show a saved plan in the browser: a live view until Ctrl+C, or one page in a file; or plot its cost.
 
     Examples
     --------
@@ -244,11 +248,11 @@ def show(
 
     regrasp-opt show plan.json --motion motion.json --html motion.html
 
-    regrasp-opt show plan.json --candidates ipopt --html candidates.html
+    regrasp-opt show plan.json --candidates ipopt --html candidates.html --plots plots
     """
-    from regrasp_opt.cli.show import run_show
+    from regrasp_opt.cli.show import ShowRequest, run_show
 
-    return run_show(plan, motion=motion, html=html, port=port, candidates=candidates)
+    return run_show(ShowRequest(plan, motion, candidates, html, plots, port), as_json=json)
 
 
 @app.command()
@@ -263,6 +267,7 @@ def export(
     ],
     to: Annotated[Literal["casadi", "c", "onnx"], typer.Option("--to", help="Format.")],
     out: Annotated[Path | None, typer.Option(help="File to write; by default in this folder.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print what was written as one JSON object.")] = False,
 ) -> int:
     """Export the energy of all grasps as a function of an object pose.
 
@@ -272,7 +277,7 @@ def export(
     """
     from regrasp_opt.cli.export import run_export
 
-    return run_export(model, to, out)
+    return run_export(model, to, out, as_json=json)
 
 
 @app.command()
@@ -296,6 +301,7 @@ def bench(
     out: Annotated[Path, typer.Option(help="Folder of the results; an interrupted run goes on there.")] = Path(
         "benchmarks"
     ),
+    plots: Annotated[bool, typer.Option("--plots", help="Write curves as PNG files too, where there are any.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")] = False,
 ) -> int:
     """Repeat an experiment of the paper, or one of ours, and write rows, a summary and a page. Resumes.
@@ -306,4 +312,6 @@ def bench(
     """
     from regrasp_opt.cli.bench import run_bench
 
-    return run_bench(experiment, out=out, quick=quick, objects=objects, jobs=jobs, dask=dask, seed=seed, as_json=json)
+    return run_bench(
+        experiment, out=out, quick=quick, objects=objects, jobs=jobs, dask=dask, seed=seed, plots=plots, as_json=json
+    )

@@ -114,7 +114,23 @@
   // ---- what the scene holds
   const meshes = scene.meshes.map(upload);
   const parts = scene.parts.map((part) => ({ ...part, mesh: meshes[part.mesh], rgb: rgb(part.colour) }));
-  const ghosts = scene.ghosts.map((g) => ({ ...g, rgb: rgb(g.colour), opacity: 0.5 }));
+  const objectPoints = decode(scene.meshes[scene.object].vertices, Float32Array);
+  const top = (pose) => { // the point above its middle, at its highest [m]
+    const m = matrix(pose), low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
+    for (let k = 0; k < objectPoints.length; k += 3) for (let d = 0; d < 3; d++) {
+      const x = m[d] * objectPoints[k] + m[4 + d] * objectPoints[k + 1] + m[8 + d] * objectPoints[k + 2] + m[12 + d];
+      low[d] = Math.min(low[d], x);
+      high[d] = Math.max(high[d], x);
+    }
+    return [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, high[2]];
+  };
+  const ghosts = scene.ghosts.map((g) => {
+    const tag = document.createElement("div");
+    tag.className = "tag";
+    tag.textContent = g.name;
+    element("tags").append(tag);
+    return { ...g, rgb: rgb(g.colour), opacity: 0.5, top: top(g.pose), tag };
+  });
   const fields = scene.fields.map((field) => ({ ...field, mesh: upload(field.mesh) }));
   const candidates = scene.candidates && { ...scene.candidates, trail: upload(scene.candidates.trail),
     poses: decode(scene.candidates.poses, Float32Array), colours: decode(scene.candidates.colours, Uint8Array) };
@@ -228,6 +244,12 @@
     const drawn = [bodyPose(state, bodies - 1)];
     if (candidatesShown()) drawGhosts(candidateGhosts(), drawn);
     if (element("ghosts").checked) drawGhosts(ghosts, drawn);
+    for (const { tag, top } of ghosts) {
+      const [x, y] = onScreen(top);
+      tag.hidden = !element("ghosts").checked;
+      tag.style.left = `${x}px`;
+      tag.style.top = `${y}px`;
+    }
   }
   const redraw = () => { if (!pending) { pending = true; requestAnimationFrame(render); } };
 
@@ -322,7 +344,10 @@
   }, { passive: false });
   window.addEventListener("resize", redraw);
   function screen(id) { // where the palm of a grasp's mark is on the screen [px]
-    const m = markMatrix(id), p = [0, 1, 2].map((d) => m[12 + d] - 0.03 * m[8 + d]);
+    const m = markMatrix(id);
+    return onScreen([0, 1, 2].map((d) => m[12 + d] - 0.03 * m[8 + d]));
+  }
+  function onScreen(p) { // where a point is on the screen [px]
     const [x, y, w] = [0, 1, 3].map((r) => projection[r] * p[0] + projection[4 + r] * p[1] + projection[8 + r] * p[2] +
       projection[12 + r]);
     return [(x / w + 1) / 2 * canvas.clientWidth, (1 - y / w) / 2 * canvas.clientHeight];
