@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Callable
 from pathlib import Path
 
@@ -27,6 +28,8 @@ from regrasp_opt.benchmarks.speed import run_speed
 from regrasp_opt.benchmarks.subjects import mesh_files
 from regrasp_opt.cli.output import make_console
 from regrasp_opt.errors import UnknownNameError
+
+logger = logging.getLogger(__name__)
 
 EXPERIMENTS: dict[str, Callable[[Session], Report]] = {
     "cost-sweep": run_cost_sweep,
@@ -116,7 +119,11 @@ def run_bench(
 
 
 def _tell(text: str) -> None:
-    make_console(stderr=True).print(text)
+    console = make_console(stderr=True)
+    if console.is_terminal:
+        console.print(text)
+    else:
+        logger.info("%s", text)
 
 
 def _print(report: Report, folder: Path, plots: list[Path]) -> None:

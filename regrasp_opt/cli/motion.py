@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ from regrasp_opt.cli.output import make_console, working
 from regrasp_opt.motion import MotionOptions, MotionPlan, plan_motion
 from regrasp_opt.motion.scene_export import save_scene
 from regrasp_opt.planning import RegraspPlan
+
+logger = logging.getLogger(__name__)
 
 
 def run_motion(
@@ -31,6 +34,7 @@ def run_motion(
         save_scene(plan, scene)
     with working("planning the motion"):
         motion = plan_motion(plan, options)
+    logger.info("%s; planned in %.2f s with %s", motion.status.name.lower(), motion.seconds, options)
     if out is not None:
         motion.save(out)
     if csv is not None and motion.solved:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from regrasp_opt.errors import PlanFileError
 from regrasp_opt.motion import MotionPlan
 from regrasp_opt.planning import RegraspPlan
 from regrasp_opt.viz import Track, trace_candidates, track_of, write_plan_page
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,7 @@ def run_show(request: ShowRequest, *, as_json: bool) -> int:
     if request.candidates is not None:
         with working(f"planning again with {request.candidates}"):
             trace = trace_candidates(plan, request.candidates)
+        logger.info("%d candidates in %d frames", *trace.cost.T.shape)
     if request.html is None and request.plots is None:
         from regrasp_opt.viz.scene import plan_scene
         from regrasp_opt.viz.viewer import PlanViewer

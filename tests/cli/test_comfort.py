@@ -99,6 +99,25 @@ def test_verbose_logs_what_was_tried(capsys, caplog):
     assert "200 grasps, 5 placements" in said and "tried num_regrasps 1" in said and "solved; seconds" in said
 
 
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("check",), "recomputed"),
+        (("motion",), "solved; planned in"),
+        (("show", "--candidates", "lattice", "--html", "page.html"), "candidates in 2 frames"),
+    ],
+)
+def test_every_command_on_a_plan_logs_what_it_did(capsys, caplog, tmp_path, monkeypatch, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    assert in_process(capsys, "plan", "--refiner", "lattice", "--out", "plan.json").code == 0
+    with caplog.at_level(logging.INFO):
+        assert in_process(capsys, "--verbose", arguments[0], "plan.json", *arguments[1:]).code == 0
+    messages = [record.getMessage() for record in caplog.records if record.name.startswith("regrasp_opt")]
+    assert re.match(r"regrasp-opt [\d.]+, Python 3\.\d+\.\d+ on ", messages[0])
+    assert any(said in message for message in messages)
+    assert re.fullmatch(r"took [\d.]+ s", messages[-1])
+
+
 @pytest.mark.parametrize("command", ["plan", "prepare", "check", "motion", "show", "export", "bench"])
 def test_every_help_has_an_example(capsys, command):
     assert f"regrasp-opt {command} " in re.sub(
