@@ -19,14 +19,21 @@ from PIL import Image
 from selenium import webdriver
 from selenium.webdriver.common.by import By
 
-from regrasp_opt import RegraspPlan, RegraspProblem, solve_sequence
+from regrasp_opt import Recipe, RegraspPlan, RegraspProblem, solve_sequence
+from regrasp_opt.benchmarks.cost_sweep import sweep
+from regrasp_opt.benchmarks.instances import Instance
 from regrasp_opt.conventions import planar_transform
 from regrasp_opt.planning.pose_text import parse_pose
-from regrasp_opt.viz import write_plan_page
+from regrasp_opt.solvers import NlpRefiner
+from regrasp_opt.viz import CandidateTrace, trace_candidates, write_plan_page
+from regrasp_opt.viz.curves import plot_cost_sweep, plot_cost_traces
 from regrasp_opt.viz.plots import plot_cost_landscape, plot_pose_distribution
 
 IMAGES = Path(__file__).parent / "images"
 START, GOAL = "1:0.26,0.40,-30", "0:-0.26,0.40,10"
+HIDE_CARDS = "for (const card of document.querySelectorAll('.card')) card.style.visibility = 'hidden';"
+SWEPT = "0:0.29,0.47,70", "0:-0.39,0.55,0"
+"""Ends on one side of the bottle that share no grasp."""
 CAPTIONS = (
     "1. pick at the start",
     "2. put down at the intermediate pose",
@@ -108,9 +115,41 @@ def draw_chain(plan: RegraspPlan) -> Figure:
     return figure
 
 
+def save_strip(panels: list[Image.Image], captions: tuple[str, ...], name: str) -> None:
+    """Write pictures side by side with a caption above each."""
+    figure, axes = plt.subplots(1, len(panels), figsize=(4 * len(panels), 4.1), layout="constrained")
+    figure.get_layout_engine().set(h_pad=0.08)
+    for ax, panel, caption in zip(axes, panels, captions, strict=True):
+        ax.imshow(panel)
+        ax.set_title(caption, fontsize=14)
+        ax.axis("off")
+    figure.savefig(IMAGES / name, dpi=100)
+
+
+def photograph_candidates(browser: webdriver.Chrome, plan: RegraspPlan, trace: CandidateTrace, page: Path) -> None:
+    """Write the candidates at the start, on their way and refined."""
+    write_plan_page(plan, page, candidates=trace)
+    browser.get(page.as_uri())
+    browser.execute_script(HIDE_CARDS + "document.getElementById('marks').click(); plan.look(0.9)")
+    frames = (0, 4, len(trace.cost) - 1)
+    panels = []
+    for frame in frames:
+        browser.execute_script("iteration.value = arguments[0]; iteration.dispatchEvent(new Event('input'))", frame)
+        panels.append(photograph(browser, 620, 520))
+    save_strip(panels, tuple(trace.label(k).split(", ")[1].split(":")[0] for k in frames), "candidates.png")
+
+
+def draw_sweep(problem: RegraspProblem) -> None:
+    """Write the costs while the intermediate pose moves from the goal to the start."""
+    ends = [parse_pose(text, "pose", problem.placement_poses) for text in SWEPT]
+    figure = plot_cost_sweep(sweep(problem, Instance("sweep", *ends, None)), "Costs while the intermediate pose moves")
+    figure.savefig(IMAGES / "sweep.png", dpi=100)
+
+
 def main() -> None:
-    """Write pictures of a plan: its steps, the page, its grasps, the cost over the table and over all lattice poses."""
+    """Write pictures of a plan: its steps, the page, candidates by iteration, its grasps and its cost."""
     plan = solve()
+    trace = trace_candidates(plan, Recipe(NlpRefiner(), starts="random", batches=(12,), proved=12))
     print(plan.status.name, np.round(plan.xi, 3).tolist())
     IMAGES.mkdir(exist_ok=True)
     draw_energy(plan.problem).savefig(IMAGES / "energy.png", dpi=100)
@@ -126,23 +165,19 @@ def main() -> None:
             photograph(browser, 1280, 760).save(IMAGES / "page.png", optimize=True)
             browser.find_element(By.ID, "field").send_keys("hidden")
             browser.find_element(By.ID, "marks").click()
-            hide = "for (const card of document.querySelectorAll('.card')) card.style.visibility = 'hidden';"
-            browser.execute_script(hide + "plan.look(0.82)")
+            browser.execute_script(HIDE_CARDS + "plan.look(0.82)")
             panels = []
             for step in range(len(CAPTIONS)):
                 browser.execute_script(f"plan.show({step})")
                 panels.append(photograph(browser, 520, 480))
+            photograph_candidates(browser, plan, trace, page)
         finally:
             browser.quit()
-    figure, axes = plt.subplots(1, len(panels), figsize=(16, 4.1), layout="constrained")
-    figure.get_layout_engine().set(h_pad=0.08)
-    for ax, panel, caption in zip(axes, panels, CAPTIONS, strict=True):
-        ax.imshow(panel)
-        ax.set_title(caption, fontsize=14)
-        ax.axis("off")
-    figure.savefig(IMAGES / "plan.png", dpi=100)
+    save_strip(panels, CAPTIONS, "plan.png")
     plot_cost_landscape(plan).savefig(IMAGES / "landscape.png", dpi=100)
     plot_pose_distribution(plan).savefig(IMAGES / "poses.png", dpi=100)
+    plot_cost_traces(trace).savefig(IMAGES / "traces.png", dpi=100)
+    draw_sweep(plan.problem)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from regrasp_opt.solvers.lattice import LatticeRefiner, PoseLattice, lattice_sta
 from regrasp_opt.solvers.nlp import NlpRefiner
 from regrasp_opt.solvers.nlp_solver import NlpSolution, NlpSolver
 from regrasp_opt.solvers.options import ProgramOptions
+from regrasp_opt.solvers.recording import RecordedBatch, RecordingRefiner
 from regrasp_opt.solvers.regrasp_nlp import OptiTerms, RegraspNLP
 
 __all__ = [
@@ -22,6 +23,8 @@ __all__ = [
     "OptiTerms",
     "PoseLattice",
     "ProgramOptions",
+    "RecordedBatch",
+    "RecordingRefiner",
     "Refinement",
     "Refiner",
     "RegraspNLP",

@@ -52,12 +52,16 @@ class Refinement:
         Cost of each candidate by iteration, the start first.
     stats : dict
         Plain numbers, JSON-serialisable; the keys are the refiner's own.
+    paths : tuple of arrays
+        Planar parameters (k, N, 3) of each candidate by iteration, the start first; empty unless the refiner was asked
+        to keep them (`RecordingRefiner`).
     """
 
     candidates: Candidates
     status: tuple[str, ...]
     traces: tuple[FloatArray, ...]
     stats: dict[str, Any] = field(default_factory=dict)
+    paths: tuple[FloatArray, ...] = ()
 
 
 class Refiner(Protocol):

@@ -7,7 +7,7 @@ torch is imported when a batch is refined, not before.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -45,6 +45,8 @@ class LangevinRefiner:
         Return the best point a chain visited; False returns the last one, as in the paper.
     device : str
         torch device; ``"auto"`` takes a GPU where there is one.
+    record : bool
+        Keep the poses of every iteration, in `Refinement.paths`.
     """
 
     iterations: int = 20
@@ -53,6 +55,7 @@ class LangevinRefiner:
     anneal: bool = False
     keep_best: bool = True
     device: str = "auto"
+    record: bool = False
 
     def __post_init__(self) -> None:
         if self.iterations < 0 or not self.eta > 0 or self.tau < 0:
@@ -62,6 +65,10 @@ class LangevinRefiner:
     def name(self) -> str:
         """Short name, for reports."""
         return "langevin"
+
+    def recording(self) -> LangevinRefiner:
+        """Return this refiner, but keeping the poses of every iteration."""
+        return replace(self, record=True)
 
     def refine(self, objective: SequenceObjective, starts: Candidates, rng: np.random.Generator) -> Refinement:
         """Return the refined batch; the stats hold the mean cost at every iteration."""
@@ -73,12 +80,13 @@ class LangevinRefiner:
         width = landscape.grasps * objective.energy.model.hidden * max(1, num_regrasps)
         chunk = max(1, (_CHUNK_ELEMENTS if name == "cpu" else _GPU_CHUNK_ELEMENTS) // width)
         noise = torch.Generator().manual_seed(int(rng.integers(2**63 - 1)))
-        parts, traces = [], []
+        parts, traces, paths = [], [], []
         with one_torch_thread():
             for first in range(0, len(starts), chunk):
-                xi, trace = self._run(landscape, starts.take(slice(first, first + chunk)), noise)
+                xi, trace, path = self._run(landscape, starts.take(slice(first, first + chunk)), noise)
                 parts.append(xi)
                 traces.append(trace)
+                paths += path
         xi = wrap_yaw(np.concatenate(parts)) if parts else np.array(starts.xi)
         xi[..., :2] = np.clip(xi[..., :2], *objective.bounds)  # single precision may leave them by rounding
         if self.keep_best:
@@ -91,21 +99,24 @@ class LangevinRefiner:
             ("finished",) * len(starts),
             tuple(trace.T.astype(np.float64)),
             {"iterations": self.iterations, "evaluations": trace.size, "mean_cost": trace.mean(axis=1).tolist()},
+            tuple(paths),
         )
 
-    def _run(self, landscape: _Landscape, starts: Candidates, noise: torch.Generator) -> tuple[Any, Any]:
+    def _run(self, landscape: _Landscape, starts: Candidates, noise: torch.Generator) -> tuple[Any, Any, Any]:
         import torch
 
         u = landscape.scaled(starts.xi)
         placements = torch.as_tensor(starts.placements)
         best, best_cost = u.clone(), torch.full((len(u),), torch.inf, device=u.device)
-        trace = []
+        trace, points = [], []
         for k in range(self.iterations + 1):
             u.requires_grad_(True)
             cost = landscape.cost(placements, u)
             (gradient,) = torch.autograd.grad(cost.sum(), u)
             u, cost = u.detach(), cost.detach()
             trace.append(cost.cpu().numpy())
+            if self.record:
+                points.append(landscape.unscaled(u))
             better = cost < best_cost
             best[better], best_cost[better] = u[better], cost[better]
             if k == self.iterations:
@@ -113,7 +124,8 @@ class LangevinRefiner:
             tau = self.tau * (1 - k / self.iterations) if self.anneal else self.tau
             z = torch.randn(u.shape, generator=noise).to(u.device)
             u = landscape.clamp(u - self.eta * gradient + (2 * self.eta * tau) ** 0.5 * z)
-        return landscape.unscaled(best if self.keep_best else u), np.array(trace)
+        found = landscape.unscaled(best if self.keep_best else u)
+        return found, np.array(trace), list(np.stack(points, axis=1)) if points else []
 
 
 class _Landscape:

@@ -8,7 +8,7 @@ Grasps that cannot matter are left out, because that is where most of the work g
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -47,6 +47,10 @@ class NlpRefiner:
         """Short name, for reports."""
         return self.program.plugin if self.program.hessian == "exact" else f"{self.program.plugin}-lbfgs"
 
+    def recording(self) -> NlpRefiner:
+        """Return this refiner, but keeping the poses of every iteration."""
+        return replace(self, program=replace(self.program, record=True))
+
     def refine(self, objective: SequenceObjective, starts: Candidates, rng: np.random.Generator) -> Refinement:
         """Return the refined candidates; the stats count solves, converged ones, improved ones and iterations."""
         solves, grasps = [], []
@@ -70,7 +74,8 @@ class NlpRefiner:
             "statuses": {name: status.count(name) for name in sorted(set(status))},
         }
         refined = keep_better(objective, starts, wrap_yaw(xi))
-        return Refinement(refined, status, tuple(solve.trace for solve in solves), stats)
+        paths = tuple(solve.path for solve in solves) if self.program.record else ()
+        return Refinement(refined, status, tuple(solve.trace for solve in solves), stats, paths)
 
     def _program(self, objective: SequenceObjective, num_regrasps: int, grasps: int) -> SequenceProgram:
         known = _programs.setdefault(objective.energy, {})

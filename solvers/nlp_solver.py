@@ -42,6 +42,8 @@ class NlpSolution:
         Calls of the objective, the constraints and their derivatives.
     trace : (k,)
         The objective by iteration, the start first; empty where the plugin does not tell.
+    path : (k, n)
+        ``x`` by iteration, the start first; empty unless `ProgramOptions.record` is set.
     """
 
     x: FloatArray
@@ -52,6 +54,7 @@ class NlpSolution:
     iterations: int
     evaluations: int
     trace: FloatArray
+    path: FloatArray
 
 
 class NlpSolver:
@@ -65,10 +68,12 @@ class NlpSolver:
 
     def __init__(self, program: Mapping[str, Any], settings: ProgramOptions) -> None:
         self.settings = settings
+        self._recorder = _Recorder(program) if settings.record else None
+        options = {"print_time": False, **plugin_options(settings)}
+        if self._recorder is not None:
+            options["iteration_callback"] = self._recorder
         try:
-            self.casadi_solver: Any = ca.nlpsol(
-                "regrasp", settings.plugin, dict(program), {"print_time": False, **plugin_options(settings)}
-            )
+            self.casadi_solver: Any = ca.nlpsol("regrasp", settings.plugin, dict(program), options)
         except RuntimeError as error:
             reason = str(error).strip().splitlines()[-1]
             raise OptionError(f"CasADi cannot set up the plugin '{settings.plugin}' ({reason}); use ipopt") from error
@@ -88,8 +93,11 @@ class NlpSolver:
         The bounds `lbx`, `ubx` of the variables and `lbg`, `ubg` of the constraints are as `casadi.nlpsol` takes them.
         """
         with lock:
+            if self._recorder is not None:
+                self._recorder.points.clear()
             found = self.casadi_solver(x0=x0, p=np.asarray(p), lbx=lbx, ubx=ubx, lbg=lbg, ubg=ubg)
             stats = self.casadi_solver.stats()
+            points = [] if self._recorder is None else self._recorder.points.copy()
         x, g, f = np.array(found["x"]).ravel(), np.array(found["g"]).ravel(), float(found["f"])
         beyond = [np.asarray(lbx) - x, x - np.asarray(ubx), np.asarray(lbg) - g, g - np.asarray(ubg)]
         violation = max([0.0, *(float(part.max()) for part in beyond if part.size)])
@@ -103,4 +111,30 @@ class NlpSolver:
             int(stats.get("iter_count", 0)),
             sum(int(count) for name, count in stats.items() if name.startswith("n_call_nlp_")),
             np.array(stats.get("iterations", {}).get("obj", []), dtype=np.float64),
+            np.array(points, dtype=np.float64).reshape(-1, len(x)),
         )
+
+
+class _Recorder(ca.Callback):
+    """What a CasADi solver calls after each iteration: it keeps ``x``."""
+
+    def __init__(self, program: Mapping[str, Any]) -> None:
+        ca.Callback.__init__(self)
+        self.points: list[FloatArray] = []
+        sizes = {name: program[name].shape if name in program else (0, 1) for name in ("x", "f", "g", "p")}
+        sizes |= {f"lam_{name}": sizes[name] for name in ("x", "g", "p")}
+        self._shapes = [sizes[name] for name in ca.nlpsol_out()]
+        self.construct("recorder", {})
+
+    def get_n_in(self) -> int:
+        return len(self._shapes)
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_sparsity_in(self, number: int) -> Any:
+        return ca.Sparsity.dense(*self._shapes[number])
+
+    def eval(self, arguments: Any) -> list[float]:
+        self.points.append(np.array(arguments[0]).ravel())
+        return [0.0]

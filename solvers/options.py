@@ -28,6 +28,8 @@ class ProgramOptions:
     pair_limit : float, optional
         Largest ``Q_pair`` allowed between neighbours; None leaves the pairs to the cost. A `RegraspNLP` is given its
         constraints instead.
+    record : bool
+        Keep the variables at every iteration, in `NlpSolution.path`.
     """
 
     plugin: str = "ipopt"
@@ -35,6 +37,7 @@ class ProgramOptions:
     max_iterations: int = 100
     tolerance: float = 1e-5
     pair_limit: float | None = None
+    record: bool = False
 
     def __post_init__(self) -> None:
         if not ca.has_nlpsol(self.plugin):

@@ -25,7 +25,8 @@ _ANYWHERE = np.array([[-np.inf, -np.inf], [np.inf, np.inf]])
 class Solve(NamedTuple):
     """One local solve: planar parameters (N, 3), their cost, how the solver ended and its cost by iteration.
 
-    ``evaluations`` counts calls of ``J_seq`` and of its derivatives.
+    ``evaluations`` counts calls of ``J_seq`` and of its derivatives; ``path`` (k, N, 3) has the iterations if
+    `ProgramOptions.record` is set, else none.
     """
 
     xi: FloatArray
@@ -36,6 +37,7 @@ class Solve(NamedTuple):
     iterations: int
     evaluations: int
     trace: FloatArray
+    path: FloatArray
 
 
 class SequenceProgram:
@@ -82,4 +84,5 @@ class SequenceProgram:
             found.iterations,
             found.evaluations,
             found.trace if len(found.trace) else np.array([start_cost, found.f]),
+            found.path.reshape(-1, *xi.shape),
         )

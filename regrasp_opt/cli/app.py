@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import logging
 import os
+import platform
 import sys
+import time
 import traceback
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -14,6 +17,9 @@ import typer
 from regrasp_opt.cli import interrupts
 from regrasp_opt.cli.completion import EXPERIMENTS, OBJECTS, REFINERS, names, stored
 from regrasp_opt.errors import RegraspError
+from regrasp_opt.files import data_home
+
+logger = logging.getLogger(__name__)
 
 app = typer.Typer(
     name="regrasp-opt",
@@ -51,6 +57,7 @@ PlanArgument = Annotated[Path, typer.Argument(metavar="PLAN", help="A plan file.
 
 def run(arguments: list[str]) -> int:
     """Run the command line on `arguments` and return the exit code."""
+    began = time.perf_counter()
     try:
         result = app(args=arguments, standalone_mode=False)
     except typer.TyperException as error:
@@ -63,6 +70,7 @@ def run(arguments: list[str]) -> int:
         return _fail(f"internal error ({type(error).__name__}: {error}); run again with --debug and report it", error)
     except KeyboardInterrupt:
         return interrupts.conclude()
+    logger.info("took %.2f s", time.perf_counter() - began)
     if interrupts.received():  # Typer makes an exit code of it
         return interrupts.conclude()
     return result if isinstance(result, int) else 0
@@ -79,8 +87,6 @@ def _fail(message: str, error: BaseException) -> int:
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        from importlib.metadata import version
-
         print(f"regrasp-opt {version('regrasp-opt')}")
         raise typer.Exit()
 
@@ -89,12 +95,14 @@ def _show_version(wanted: bool) -> None:
 def _common(
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log what is done to stderr.")] = False,
-    version: Annotated[
+    show_version: Annotated[
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")
     ] = False,
 ) -> None:
     _state["debug"] = debug or bool(os.environ.get("REGRASP_OPT_DEBUG"))
     logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, format="%(name)s: %(message)s")
+    system = f"Python {platform.python_version()} on {platform.system()} {platform.machine()}"
+    logger.info("regrasp-opt %s, %s, data in %s", version("regrasp-opt"), system, data_home())
 
 
 @app.command()
@@ -123,8 +131,8 @@ def plan(
 ) -> int:
     """Plan from a start to a goal pose. Ends that are not given are drawn at random so that a regrasp is needed.
 
-    Examples
-    --------
+    For example:
+
     regrasp-opt plan
 
     regrasp-opt plan --object mug --start 0:-0.2,0.4,30 --goal 1:0.25,0.3,180 --out plan.json
@@ -226,19 +234,33 @@ def show(
     plan: PlanArgument,
     motion: Annotated[Path | None, typer.Option(help="A motion of the plan, saved by 'motion --out'.")] = None,
     html: Annotated[Path | None, typer.Option(help="Write one page that needs no network, and end.")] = None,
+    candidates: Annotated[
+        str | None,
+        typer.Option(
+            metavar="REFINER",
+            help="Plan once more with this refiner and show its candidates by iteration.",
+            autocompletion=names(REFINERS),
+        ),
+    ] = None,
+    plots: Annotated[
+        Path | None, typer.Option(help="Write plots of the cost, and of the candidates, to this folder, and end.")
+    ] = None,
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the live view.")] = 8080,
+    json: Annotated[bool, typer.Option("--json", help="Print what was written, or the address, as JSON.")] = False,
 ) -> int:
-    """Show a saved plan in the browser: a live view until Ctrl+C, or one page in a file.
+    """Show a saved plan in the browser: a live view until Ctrl+C, or one page in a file; or plot its cost.
 
-    Examples
-    --------
+    For example:
+
     regrasp-opt show plan.json
 
     regrasp-opt show plan.json --motion motion.json --html motion.html
-    """
-    from regrasp_opt.cli.show import run_show
 
-    return run_show(plan, motion=motion, html=html, port=port)
+    regrasp-opt show plan.json --candidates ipopt --html candidates.html --plots plots
+    """
+    from regrasp_opt.cli.show import ShowRequest, run_show
+
+    return run_show(ShowRequest(plan, motion, candidates, html, plots, port), as_json=json)
 
 
 @app.command()
@@ -253,6 +275,7 @@ def export(
     ],
     to: Annotated[Literal["casadi", "c", "onnx"], typer.Option("--to", help="Format.")],
     out: Annotated[Path | None, typer.Option(help="File to write; by default in this folder.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print what was written as one JSON object.")] = False,
 ) -> int:
     """Export the energy of all grasps as a function of an object pose.
 
@@ -262,7 +285,7 @@ def export(
     """
     from regrasp_opt.cli.export import run_export
 
-    return run_export(model, to, out)
+    return run_export(model, to, out, as_json=json)
 
 
 @app.command()
@@ -286,6 +309,7 @@ def bench(
     out: Annotated[Path, typer.Option(help="Folder of the results; an interrupted run goes on there.")] = Path(
         "benchmarks"
     ),
+    plots: Annotated[bool, typer.Option("--plots", help="Write curves as PNG files too, where there are any.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")] = False,
 ) -> int:
     """Repeat an experiment of the paper, or one of ours, and write rows, a summary and a page. Resumes.
@@ -296,4 +320,6 @@ def bench(
     """
     from regrasp_opt.cli.bench import run_bench
 
-    return run_bench(experiment, out=out, quick=quick, objects=objects, jobs=jobs, dask=dask, seed=seed, as_json=json)
+    return run_bench(
+        experiment, out=out, quick=quick, objects=objects, jobs=jobs, dask=dask, seed=seed, plots=plots, as_json=json
+    )

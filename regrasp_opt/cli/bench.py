@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Callable
 from pathlib import Path
 
@@ -27,6 +28,8 @@ from regrasp_opt.benchmarks.speed import run_speed
 from regrasp_opt.benchmarks.subjects import mesh_files
 from regrasp_opt.cli.output import make_console
 from regrasp_opt.errors import UnknownNameError
+
+logger = logging.getLogger(__name__)
 
 EXPERIMENTS: dict[str, Callable[[Session], Report]] = {
     "cost-sweep": run_cost_sweep,
@@ -60,6 +63,7 @@ def run_bench(
     jobs: int = -1,
     dask: str | None = None,
     seed: int = 0,
+    plots: bool = False,
     as_json: bool = False,
 ) -> int:
     """Run one experiment, write its files below `out` and print its tables; return 0.
@@ -78,6 +82,8 @@ def run_bench(
         Workers, as joblib counts them.
     dask : str, optional
         Address of a Dask scheduler whose workers are used instead.
+    plots : bool
+        Write the experiment's curves as PNG files too, where it has any.
     as_json : bool
         Print the summary as one JSON object instead of the tables.
 
@@ -100,18 +106,27 @@ def run_bench(
     summary = write_report(report, folder)
     write_page(summary, folder / f"{report.name}.md")
     write_document(out, out / DOCUMENT)
+    drawn = []
+    if plots:
+        from regrasp_opt.cli.plots import write_bench_plots
+
+        drawn = write_bench_plots(report, folder)
     if as_json:
-        print(json.dumps(summary))
+        print(json.dumps({**summary, "plots": [str(path) for path in drawn]}))
     else:
-        _print(report, folder)
+        _print(report, folder, drawn)
     return 0
 
 
 def _tell(text: str) -> None:
-    make_console(stderr=True).print(text)
+    console = make_console(stderr=True)
+    if console.is_terminal:
+        console.print(text)
+    else:
+        logger.info("%s", text)
 
 
-def _print(report: Report, folder: Path) -> None:
+def _print(report: Report, folder: Path, plots: list[Path]) -> None:
     console = make_console()
     for item in report.tables:
         table = Table(title=escape(item.title), title_justify="left", box=None, header_style="bold")
@@ -123,3 +138,5 @@ def _print(report: Report, folder: Path) -> None:
     for bad in report.errors:
         console.print(f"[bold red]not measured[/]: {escape(str(bad['object']))}: {escape(str(bad['error']))}")
     console.print(f"written: {folder / 'index.html'}, {folder / 'summary.json'}, {folder / 'rows.csv'}", soft_wrap=True)
+    for path in plots:
+        console.print(f"written: {path}", markup=False, soft_wrap=True)

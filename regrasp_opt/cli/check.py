@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,15 @@ from rich.table import Table
 from regrasp_opt.cli.output import make_console
 from regrasp_opt.planning import RegraspPlan
 
+logger = logging.getLogger(__name__)
+
 
 def run_check(path: Path, *, as_json: bool) -> int:
     """Recompute every claim of a saved plan; return 0 if it is solved and all hold, else 1."""
     plan = RegraspPlan.load(path)
     residuals = plan.residuals()
+    counts = [len(t.limit_margin) for t in residuals.transitions]
+    logger.info("recomputed %s grasps of %d transition(s)", counts, len(counts))
     good = plan.solved and residuals.hold
     problems = list(residuals.problems) if plan.solved else [f"the plan is not solved: {plan.status.name.lower()}"]
     if as_json:

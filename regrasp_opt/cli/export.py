@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 from regrasp_opt.energy.export import SUFFIXES, export_energy
@@ -16,7 +17,7 @@ from regrasp_opt.planning.model_store import (
 )
 
 
-def run_export(model: Path, to: str, out: Path | None) -> int:
+def run_export(model: Path, to: str, out: Path | None, *, as_json: bool) -> int:
     """Export the energy of a prepared model; return 0."""
     bundled = {folder.parent.name: folder.parent for folder in bundled_models().glob(f"*/{REPORT_FILE}")}
     folder = model if model.is_dir() else bundled.get(str(model))
@@ -27,5 +28,8 @@ def run_export(model: Path, to: str, out: Path | None) -> int:
     )
     path = out or Path(f"{folder.resolve().name}{SUFFIXES[to]}")
     export_energy(energy, to, path)
-    print(f"written: {path}")
+    if as_json:
+        print(json.dumps({"model": str(folder), "format": to, "grasps": len(energy), "path": str(path)}))
+    else:
+        print(f"written: {path}")
     return 0

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
+import logging
 from pathlib import Path
 
 import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from regrasp_opt.cli.output import make_console
+from regrasp_opt.cli.output import make_console, working
 from regrasp_opt.motion import MotionOptions, MotionPlan, plan_motion
 from regrasp_opt.motion.scene_export import save_scene
 from regrasp_opt.planning import RegraspPlan
+
+logger = logging.getLogger(__name__)
 
 
 def run_motion(
@@ -29,7 +32,9 @@ def run_motion(
     plan = RegraspPlan.load(path)
     if scene is not None:
         save_scene(plan, scene)
-    motion = plan_motion(plan, options)
+    with working("planning the motion"):
+        motion = plan_motion(plan, options)
+    logger.info("%s; planned in %.2f s with %s", motion.status.name.lower(), motion.seconds, options)
     if out is not None:
         motion.save(out)
     if csv is not None and motion.solved:

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress, ProgressColumn, SpinnerColumn, Task, TextColumn, TimeElapsedColumn
+from rich.text import Text
 
 PIPE_WIDTH = 140
 """Columns of a table that is not printed on a terminal."""
@@ -19,11 +20,23 @@ def make_console(*, stderr: bool = False) -> Console:
     return Console(stderr=stderr, highlight=False, width=None if stream.isatty() else PIPE_WIDTH)
 
 
+class _TimeLeft(ProgressColumn):
+    """How much is left of the seconds that the task may take."""
+
+    def render(self, task: Task) -> Text:
+        if task.total is None:
+            return Text("")
+        return Text(f"at most {max(0.0, task.total - (task.elapsed or 0.0)):.0f} s left")
+
+
 @contextmanager
-def working(what: str) -> Iterator[None]:
-    """Show on a terminal's stderr that `what` is going on and for how long; nothing is shown in a pipe."""
+def working(what: str, limit: float | None = None) -> Iterator[None]:
+    """Show on a terminal's stderr that `what` is going on, for how long, and how much of `limit` [s] is left.
+
+    Nothing is shown in a pipe.
+    """
     console = make_console(stderr=True)
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn(), _TimeLeft())
     with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
-        bar.add_task(what, total=None)
+        bar.add_task(what, total=limit)
         yield

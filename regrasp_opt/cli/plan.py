@@ -53,8 +53,7 @@ def run_plan(request: PlanRequest, *, out: Path | None, html: Path | None, as_js
     logger.info(
         "%d grasps, %d placements, model %s", len(problem.grasps), len(problem.placements), problem.model_folder
     )
-    limit = "" if request.time_limit is None else f", at most {request.time_limit:g} s"
-    with working(f"planning up to {request.max_regrasps} regrasp(s){limit}"):
+    with working(f"planning up to {request.max_regrasps} regrasp(s)", request.time_limit):
         task = _task(request, problem)
         plan = solve_sequence(
             problem,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from regrasp_opt.cli.output import make_console
 from regrasp_opt.objects import load_object
 from regrasp_opt.planning.prepare import prepare
 from regrasp_opt.workcell import load_workcell
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,7 @@ def run_prepare(request: PrepareRequest, *, as_json: bool) -> int:
             jobs=request.jobs,
             progress=show,
         )
+    logger.info("seconds: %s", {name: round(seconds, 2) for name, seconds in report["times"].items()})
     if as_json:
         print(json.dumps({"folder": str(folder), **report}))
         return 0

@@ -16,15 +16,31 @@ from numpy.typing import NDArray
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.files import atomic_path
 from regrasp_opt.planning import RegraspPlan
+from regrasp_opt.viz.candidates import CandidateTrace, cost_range, trail
 from regrasp_opt.viz.fields import CostField
-from regrasp_opt.viz.scene import SCALE, PlanScene, SharedGrasps, plan_scene, scaled_colours
+from regrasp_opt.viz.scene import SCALE, PlanScene, SharedGrasps, plan_scene, pose7, scaled_colours
 from regrasp_opt.viz.surfaces import Surface
 from regrasp_opt.viz.track import Track
 
 
-def write_plan_page(plan: RegraspPlan, path: str | os.PathLike[str], track: Track | None = None) -> None:
-    """Write a page that shows `plan` to `path`, or the motion `track` that carries it out; it needs no network."""
-    text = page_text(plan_scene(plan, track))
+def write_plan_page(
+    plan: RegraspPlan,
+    path: str | os.PathLike[str],
+    track: Track | None = None,
+    candidates: CandidateTrace | None = None,
+) -> None:
+    """Write a page that shows `plan` to `path`; it needs no network.
+
+    Parameters
+    ----------
+    plan : RegraspPlan
+    path : path
+    track : Track, optional
+        A motion that carries the plan out; its moments are the steps of the slider.
+    candidates : CandidateTrace, optional
+        Candidates of a refiner, to be shown by iteration.
+    """
+    text = page_text(plan_scene(plan, track, candidates))
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
@@ -65,6 +81,7 @@ def _content(scene: PlanScene) -> dict[str, Any]:
         "grasps": [_grasps(shared) for shared in scene.grasps],
         "marks": _rounded(scene.marks),
         "fields": [_field(field, scene.table_height) for field in scene.fields],
+        "candidates": _candidates(scene.candidates, scene.table_height),
         "scale": SCALE,
         "table_height": scene.table_height,
         "eye": _rounded(scene.eye),
@@ -95,6 +112,26 @@ def _field(field: CostField, table_height: float) -> dict[str, Any]:
     mesh["colours"] = _packed(colours, np.uint8)
     low, high = float(field.cost.min()), float(np.percentile(field.cost, 90))
     return {"number": field.number, "mesh": mesh, "low": low, "high": high}
+
+
+def _candidates(trace: CandidateTrace | None, table_height: float) -> dict[str, Any] | None:
+    if trace is None:
+        return None
+    frames, count, length = trace.xi.shape[:3]
+    ends = cost_range(trace)
+    surface, cost = trail(trace, table_height)
+    mesh = _mesh(surface)
+    mesh["colours"] = _packed(scaled_colours(cost, ends), np.uint8)
+    return {
+        "labels": [trace.label(k) for k in range(frames)],
+        "count": count,
+        "length": length,
+        "poses": _packed(pose7(trace.poses), np.float32),
+        "colours": _packed(scaled_colours(trace.cost, ends), np.uint8),
+        "accepted": -1 if trace.accepted is None else trace.accepted,
+        "trail": mesh,
+        "ends": _rounded(np.array(ends)),
+    }
 
 
 def field_surface(field: CostField, table_height: float) -> tuple[Surface, NDArray[Any]]:

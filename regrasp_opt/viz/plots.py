@@ -13,13 +13,13 @@ from regrasp_opt.connectivity.objective import exact_energy
 from regrasp_opt.errors import OptionError
 from regrasp_opt.planning import RegraspPlan
 from regrasp_opt.solvers.lattice import YAWS
+from regrasp_opt.viz.candidates import RANGE
+from regrasp_opt.viz.curves import INKS, pyplot
 from regrasp_opt.viz.fields import cost_field
 
 COLOURS = "viridis"
-RANGE = 10.0
-"""Costs that are farther than this above the least are drawn alike: there the model expects no shared grasp."""
 
-START, GOAL, HERE = "#0072b2", "#009e73", "#d55e00"
+START, HERE, GOAL = INKS[:3]
 
 
 def plot_cost_landscape(plan: RegraspPlan, number: int = 1, turns: int = 4) -> Any:
@@ -39,7 +39,7 @@ def plot_cost_landscape(plan: RegraspPlan, number: int = 1, turns: int = 4) -> A
     OptionError
         If the plan has no such pose, or matplotlib is not installed.
     """
-    plt = _pyplot()
+    plt = pyplot()
     if not 1 <= number <= plan.num_regrasps:
         raise OptionError(f"there is no intermediate pose {number}; the plan has {plan.num_regrasps}")
     angles = 2 * np.pi * np.arange(turns) / turns
@@ -77,7 +77,7 @@ def plot_pose_distribution(plan: RegraspPlan) -> Any:
     OptionError
         If matplotlib is not installed.
     """
-    plt = _pyplot()
+    plt = pyplot()
     problem, lattice = plan.problem, plan.problem.lattice
     start, goal = (exact_energy(problem.feasible_grasps(plan.poses[i])) for i in (0, -1))
     objective = problem.objective(start, goal)
@@ -110,11 +110,3 @@ def _mark_ends(ax: Any, plan: RegraspPlan) -> None:
     for T, name, marker, colour in ((plan.poses[0], "start", "s", START), (plan.poses[-1], "goal", "o", GOAL)):
         x, y = (T @ center)[:2]
         ax.plot(x, y, marker, color=colour, markeredgecolor="white", markersize=9, label=name, linestyle="none")
-
-
-def _pyplot() -> Any:
-    try:
-        import matplotlib.pyplot as plt
-    except ImportError as error:
-        raise OptionError("plots need matplotlib; install 'regrasp-opt[viz]'") from error
-    return plt

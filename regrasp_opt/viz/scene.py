@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.planning import RegraspPlan
+from regrasp_opt.viz.candidates import CandidateTrace
 from regrasp_opt.viz.fields import CostField, cost_field, grasp_energies, has_energy
 from regrasp_opt.viz.looks import BASE, COLOURS, Part, body_poses, grasp_mark, gripper_parts, robot_parts
 from regrasp_opt.viz.surfaces import Surface, shape_surface
@@ -81,6 +82,8 @@ class PlanScene:
     table_height : float
     eye, target : (3,)
         Where to look from, and at what [m].
+    candidates : CandidateTrace or None
+        Candidates of a refiner by iteration.
     """
 
     title: str
@@ -98,6 +101,7 @@ class PlanScene:
     table_height: float
     eye: FloatArray
     target: FloatArray
+    candidates: CandidateTrace | None = None
 
     @property
     def object_body(self) -> int:
@@ -105,7 +109,7 @@ class PlanScene:
         return self.states.shape[1] - 1
 
 
-def plan_scene(plan: RegraspPlan, track: Track | None = None) -> PlanScene:
+def plan_scene(plan: RegraspPlan, track: Track | None = None, candidates: CandidateTrace | None = None) -> PlanScene:
     """Return what there is to see of `plan`, with the moments of `track` as steps where one is given."""
     problem, cell = plan.problem, plan.problem.workcell
     dof = cell.robot.dof
@@ -134,18 +138,19 @@ def plan_scene(plan: RegraspPlan, track: Track | None = None) -> PlanScene:
         title=f"{problem.object.name} in {cell.name}",
         subtitle=_subtitle(plan, track),
         parts=tuple(parts),
-        ghosts=tuple(zip(names, colours, _pose7(plan.poses), strict=True)),
+        ghosts=tuple(zip(names, colours, pose7(plan.poses), strict=True)),
         object_surface=parts[-1].surface,
         mark=grasp_mark(cell.end_effector).creased(),
         states=states,
         steps=tuple(steps),
         seconds=None if track is None else float(track.times[-1]),
         grasps=tuple(grasps),
-        marks=_pose7(problem.grasps.T_object_tcp),
+        marks=pose7(problem.grasps.T_object_tcp),
         fields=tuple(cost_field(plan, i + 1) for i in range(plan.num_regrasps if has_energy(plan) else 0)),
         table_height=cell.table.height,
         eye=target + np.array([*(1.3 * away + 0.5 * np.array([away[1], -away[0]])), 0.75]),
         target=target,
+        candidates=candidates,
     )
 
 
@@ -177,9 +182,9 @@ def _picks_and_places(plan: RegraspPlan) -> tuple[FloatArray, list[Step], list[S
     return np.concatenate(states), steps, grasps
 
 
-def scaled_colours(values: FloatArray) -> IntArray:
-    """Return colours (..., 3) uint8 of `values` (...), from their least to their 90th percentile."""
-    low, high = float(values.min()), float(np.percentile(values, 90))
+def scaled_colours(values: FloatArray, ends: tuple[float, float] | None = None) -> IntArray:
+    """Return colours (..., 3) uint8 of `values` (...) between `ends`, or from their least to their 90th percentile."""
+    low, high = ends or (float(values.min()), float(np.percentile(values, 90)))
     part = (values - low) / max(high - low, 1e-9)
     table = np.array([hex_to_rgb(colour) for colour in SCALE])
     at = np.linspace(0.0, 1.0, len(table))
@@ -189,11 +194,11 @@ def scaled_colours(values: FloatArray) -> IntArray:
 def _states(plan: RegraspPlan, q: FloatArray, jaw: FloatArray, T_world_object: FloatArray) -> FloatArray:
     cell = plan.problem.workcell
     bodies = body_poses(cell.robot, cell.T_world_base, q, jaw)
-    poses: FloatArray = _pose7(np.concatenate([bodies, T_world_object[:, None]], axis=1))
+    poses: FloatArray = pose7(np.concatenate([bodies, T_world_object[:, None]], axis=1))
     return poses
 
 
-def _pose7(T: FloatArray) -> FloatArray:
+def pose7(T: FloatArray) -> FloatArray:
     """Return positions and quaternions (..., 7) of transforms (..., 4, 4)."""
     turned = Rotation.from_matrix(T[..., :3, :3].reshape(-1, 3, 3)).as_quat().reshape(*T.shape[:-2], 4)
     return np.concatenate([T[..., :3, 3], turned], axis=-1)

@@ -8,10 +8,10 @@ import time
 from typing import Any
 
 import numpy as np
-import trimesh
 from plotly.colors import hex_to_rgb
 
 from regrasp_opt.errors import OptionError
+from regrasp_opt.viz.candidate_view import CandidateView, add_coloured
 from regrasp_opt.viz.page import field_surface
 from regrasp_opt.viz.scene import PlanScene
 from regrasp_opt.viz.surfaces import Surface
@@ -22,7 +22,7 @@ FIELD_OF_VIEW = 0.7
 
 
 class PlanViewer:
-    """Serves a `PlanScene`: a slider over its steps, the shared grasps to click, the cost over the table.
+    """Serves a `PlanScene`: steps, shared grasps to click, the cost over the table, candidates of a refiner.
 
     Parameters
     ----------
@@ -38,6 +38,7 @@ class PlanViewer:
     ----------
     url : str
         Where to point a browser.
+    candidates : CandidateView or None
 
     Raises
     ------
@@ -67,6 +68,7 @@ class PlanViewer:
         ]
         self._fields = [self._add_field(number) for number in range(len(scene.fields))]
         self._add_controls()
+        self.candidates = None if scene.candidates is None else CandidateView(self._server, scene)
         self.show(0)
 
     @property
@@ -170,8 +172,7 @@ class PlanViewer:
     def _add_field(self, number: int) -> Any:
         field = self._scene.fields[number]
         surface, colours = field_surface(field, self._scene.table_height)
-        mesh = trimesh.Trimesh(surface.vertices, surface.faces, vertex_colors=colours, process=False)
-        return self._server.scene.add_mesh_trimesh(f"/cost/{field.number}", mesh, cast_shadow=False, visible=False)
+        return add_coloured(self._server, f"/cost/{field.number}", surface, colours, visible=False)
 
     def _parent(self, body: int) -> str:
         return f"/body {body}" if body >= 0 else "/fixed"

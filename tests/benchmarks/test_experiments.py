@@ -1,6 +1,7 @@
 """Every experiment, at a size of seconds, on the bottle and on a folder with a broken mesh."""
 
 import json
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -153,9 +154,11 @@ def test_the_command_names_what_is_wrong(tmp_path, capsys):
 def test_the_command_writes_its_files(session, tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(EXPERIMENTS, "cost-sweep", lambda s: cost_sweep.run_cost_sweep(session))
     monkeypatch.setattr(cost_sweep, "SUMS", {True: 1})
-    monkeypatch.setattr(cost_sweep, "PAIRS", {True: 0})
-    assert run(["bench", "cost-sweep", "--quick", "--out", str(tmp_path)]) == 0
+    monkeypatch.setattr(cost_sweep, "PAIRS", {True: 1})
+    plots = ["--plots"] if find_spec("matplotlib") else []
+    assert run(["bench", "cost-sweep", "--quick", "--out", str(tmp_path), *plots]) == 0
     assert "AP shared" in capsys.readouterr().out
+    assert len(list((tmp_path / "cost-sweep").glob("sweep-*.png"))) == len(plots)
     summary = json.loads((tmp_path / "cost-sweep" / "summary.json").read_text(encoding="utf-8"))
     assert summary["name"] == "cost-sweep" and (tmp_path / "benchmarks.md").is_file()
 

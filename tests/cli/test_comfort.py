@@ -82,6 +82,11 @@ def test_progress_and_colours_are_shown_on_a_terminal_and_can_be_turned_off():
     assert "solved" in plain and not re.search(r"\x1b\[[\d;]*3\dm", plain)
 
 
+def test_the_time_that_is_left_is_shown():
+    shown = on_a_terminal(WORK.replace('"planning"', '"planning", 90.0'))
+    assert re.search(r"at most (90|8\d) s left", shown)
+
+
 def test_a_pipe_gets_the_result_only(tmp_path):
     outcome = as_process("plan", "--refiner", "lattice", cwd=tmp_path)
     assert outcome.code == 0 and outcome.err == "" and "\x1b" not in outcome.out
@@ -92,6 +97,25 @@ def test_verbose_logs_what_was_tried(capsys, caplog):
         assert in_process(capsys, "--verbose", "plan", "--refiner", "lattice", "--json").code == 0
     said = "\n".join(record.getMessage() for record in caplog.records)
     assert "200 grasps, 5 placements" in said and "tried num_regrasps 1" in said and "solved; seconds" in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("check",), "recomputed"),
+        (("motion",), "solved; planned in"),
+        (("show", "--candidates", "lattice", "--html", "page.html"), "candidates in 2 frames"),
+    ],
+)
+def test_every_command_on_a_plan_logs_what_it_did(capsys, caplog, tmp_path, monkeypatch, arguments, said):
+    monkeypatch.chdir(tmp_path)
+    assert in_process(capsys, "plan", "--refiner", "lattice", "--out", "plan.json").code == 0
+    with caplog.at_level(logging.INFO):
+        assert in_process(capsys, "--verbose", arguments[0], "plan.json", *arguments[1:]).code == 0
+    messages = [record.getMessage() for record in caplog.records if record.name.startswith("regrasp_opt")]
+    assert re.match(r"regrasp-opt [\d.]+, Python 3\.\d+\.\d+ on ", messages[0])
+    assert any(said in message for message in messages)
+    assert re.fullmatch(r"took [\d.]+ s", messages[-1])
 
 
 @pytest.mark.parametrize("command", ["plan", "prepare", "check", "motion", "show", "export", "bench"])
@@ -109,6 +133,26 @@ def test_show_writes_a_page(capsys, tmp_path):
     assert "bottle in nova2-w" in page.read_text("utf-8")
     assert in_process(capsys, "show", tmp_path / "none.json").code == 2
     assert_refused(in_process(capsys, "show", plan, "--motion", plan, "--html", page), "is no motion of schema")
+
+
+def test_show_writes_candidates_and_plots(capsys, tmp_path):
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed")
+    plan, page, plots = (tmp_path / name for name in ("plan.json", "page.html", "plots"))
+    assert in_process(capsys, "plan", "--out", plan).code == 0
+    asked = ("--candidates", "ipopt", "--html", page, "--plots", plots, "--json")
+    outcome = in_process(capsys, "show", plan, *asked)
+    assert outcome.code == 0 and outcome.err == ""
+    drawn = sorted(str(path) for path in plots.iterdir())
+    assert outcome.data == {"html": str(page), "plots": outcome.data["plots"]}
+    assert (
+        sorted(outcome.data["plots"])
+        == drawn
+        == [str(plots / f"{n}.png") for n in ("candidates", "landscape-1", "poses")]
+    )
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in plots.iterdir())
+    held = json.loads(re.search(r'type="application/json">(.*?)</script>', page.read_text("utf-8"), re.S)[1])
+    assert held["candidates"]["accepted"] >= 0 and held["candidates"]["labels"][-1].startswith("ipopt, refined")
+    assert_refused(in_process(capsys, "show", plan, "--candidates", "newton", "--html", page), "ipopt")
 
 
 def test_show_writes_a_page_of_a_motion(capsys, tmp_path):

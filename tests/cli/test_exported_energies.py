@@ -77,6 +77,13 @@ def test_onnx(capsys, tmp_path, expected):
     np.testing.assert_allclose(found, energies, atol=1e-3, rtol=1e-3)
 
 
+def test_json_says_what_was_written(capsys, tmp_path):
+    path = tmp_path / "energy.casadi"
+    said = in_process(capsys, "export", "bottle-nova2-w", "--to", "casadi", "--out", path, "--json").data
+    assert said == {"model": said["model"], "format": "casadi", "grasps": 200, "path": str(path)}
+    assert said["model"].endswith("bottle-nova2-w") and path.is_file()
+
+
 def test_a_folder_is_exported_to_its_name_in_this_folder(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for model in ("mug-nova2-w", bundled_models() / "mug-nova2-w"):

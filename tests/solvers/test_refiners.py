@@ -17,8 +17,10 @@ from regrasp_opt.solvers import (
     LangevinRefiner,
     LatticeRefiner,
     NlpRefiner,
+    NlpSolver,
     PoseLattice,
     ProgramOptions,
+    RecordingRefiner,
     lattice_starts,
     random_starts,
 )
@@ -241,3 +243,42 @@ def test_langevin_descends_the_objective_with_what_the_table_rules_out(random_ob
     cost = landscape.cost(torch.as_tensor(placements), landscape.scaled(xi)).numpy()
     np.testing.assert_allclose(cost, objective.cost(placements, xi), rtol=2e-4, atol=2e-4)
     assert not np.allclose(cost, random_objective.cost(placements, xi), atol=1e-2)
+
+
+@pytest.mark.parametrize("refiner", REFINERS, ids=lambda r: r.name)
+def test_recording_keeps_each_iteration_and_changes_nothing(refiner, random_objective):
+    starts = random_starts(random_objective, 2, 3, np.random.default_rng(1))
+    plain = refiner.refine(random_objective, starts, np.random.default_rng(2))
+    recorder = RecordingRefiner(refiner)
+    recorded = recorder.refine(random_objective, starts, np.random.default_rng(2))
+    assert recorder.name == refiner.name and plain.paths == ()
+    np.testing.assert_array_equal(recorded.candidates.xi, plain.candidates.xi)
+    [batch] = recorder.batches
+    assert batch.starts is starts and batch.refinement is recorded
+    if isinstance(refiner, LatticeRefiner):
+        assert recorded.paths == ()
+        return
+    for number, (path, trace) in enumerate(zip(recorded.paths, recorded.traces, strict=True)):
+        assert path.shape == (len(path), 2, 3) and len(path) > 2
+        np.testing.assert_allclose(path[0], starts.xi[number], atol=1e-6)
+        if isinstance(refiner, NlpRefiner) and refiner.program.plugin != "ipopt":
+            continue  # it keeps no costs by iteration
+        placements = np.tile(starts.placements[number], (len(path), 1))
+        np.testing.assert_allclose(random_objective.cost(placements, path), trace, atol=2e-3)
+
+
+def test_a_solver_records_the_variables_of_each_iteration():
+    import casadi as ca
+
+    x, g = ca.MX.sym("x", 2), ca.MX.sym("p")
+    program = {"x": x, "p": g, "f": (1 - x[0]) ** 2 + 100 * (x[1] - x[0] ** 2) ** 2, "g": x[0] + g}
+    solver = NlpSolver(program, ProgramOptions(record=True))
+    for start in ([-1.0, 1.0], [0.5, 0.0]):
+        found = solver.solve(start, p=[0.0], lbg=-3.0, ubg=3.0)
+        assert len(found.path) == found.iterations + 1 == len(found.trace)
+        np.testing.assert_array_equal(found.path[0], start)
+        np.testing.assert_allclose(found.path[-1], [1.0, 1.0], atol=1e-4)
+        np.testing.assert_allclose(
+            (1 - found.path[:, 0]) ** 2 + 100 * (found.path[:, 1] - found.path[:, 0] ** 2) ** 2, found.trace, atol=1e-9
+        )
+    assert len(NlpSolver(program, ProgramOptions()).solve([-1.0, 1.0], p=[0.0]).path) == 0

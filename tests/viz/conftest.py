@@ -26,6 +26,16 @@ def plan(bottle_problem):
 
 
 @pytest.fixture(scope="session")
+def trace(plan):
+    """Return how Ipopt refines random candidates for the plan."""
+    from regrasp_opt import Recipe
+    from regrasp_opt.solvers import NlpRefiner
+    from regrasp_opt.viz import trace_candidates
+
+    return trace_candidates(plan, Recipe(NlpRefiner(), starts="random", batches=(4, 10), proved=14))
+
+
+@pytest.fixture(scope="session")
 def browser(tmp_path_factory):
     """Return a Selenium driver of a Chromium that reaches nothing but this machine."""
     webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")

@@ -6,14 +6,14 @@ import pytest
 from regrasp_opt.viz.scene import plan_scene
 
 
-def test_the_viewer_draws_and_its_slider_moves_the_scene(plan, browser, picture, complaints, capsys):
+def test_the_viewer_draws_and_its_slider_moves_the_scene(plan, trace, browser, picture, complaints, capsys):
     pytest.importorskip("viser", reason="viser is not installed")
     from selenium.webdriver.common.keys import Keys
     from selenium.webdriver.support.ui import WebDriverWait
 
     from regrasp_opt.viz.viewer import PlanViewer
 
-    viewer = PlanViewer(plan_scene(plan), port=18432, shadows=False)
+    viewer = PlanViewer(plan_scene(plan, candidates=trace), port=18432, shadows=False)
     try:
         complaints()
         browser.get(viewer.url)
@@ -27,6 +27,8 @@ def test_the_viewer_draws_and_its_slider_moves_the_scene(plan, browser, picture,
         before = picture()
         viewer.show(3)
         wait.until(lambda _: (np.abs(picture() - before).max(axis=-1) > 12).mean() > 0.002)
+        viewer.candidates.show(len(trace.xi) - 1)
+        wait.until(lambda d: trace.label(len(trace.xi) - 1) in d.page_source)
         first = int(plan.transitions[0].clearance.argmax())
         viewer.show(0)
         viewer.choose(0, (first + 1) % len(plan.transitions[0].grasp_ids))

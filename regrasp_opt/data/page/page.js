@@ -94,7 +94,7 @@
   for (const name of ["view", "model", "flatten", "eye", "opacity", "lit"])
     uniform[name] = gl.getUniformLocation(program, name);
 
-  function draw(mesh, model, colour, opacity = 1, lit = 1) {
+  function draw(mesh, model, colour, opacity = 1, lit = 1, first = 0, count = mesh.count) {
     const attribute = (location, buffer) => {
       gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
       gl.enableVertexAttribArray(location);
@@ -108,14 +108,32 @@
     gl.uniform1f(uniform.opacity, opacity);
     gl.uniform1f(uniform.lit, lit);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, mesh.faces);
-    gl.drawElements(gl.TRIANGLES, mesh.count, gl.UNSIGNED_INT, 0);
+    gl.drawElements(gl.TRIANGLES, count, gl.UNSIGNED_INT, 4 * first);
   }
 
   // ---- what the scene holds
   const meshes = scene.meshes.map(upload);
   const parts = scene.parts.map((part) => ({ ...part, mesh: meshes[part.mesh], rgb: rgb(part.colour) }));
-  const ghosts = scene.ghosts.map((g) => ({ ...g, rgb: rgb(g.colour), matrix: matrix(g.pose) }));
+  const objectPoints = decode(scene.meshes[scene.object].vertices, Float32Array);
+  const top = (pose) => { // the point above its middle, at its highest [m]
+    const m = matrix(pose), low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
+    for (let k = 0; k < objectPoints.length; k += 3) for (let d = 0; d < 3; d++) {
+      const x = m[d] * objectPoints[k] + m[4 + d] * objectPoints[k + 1] + m[8 + d] * objectPoints[k + 2] + m[12 + d];
+      low[d] = Math.min(low[d], x);
+      high[d] = Math.max(high[d], x);
+    }
+    return [(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, high[2]];
+  };
+  const ghosts = scene.ghosts.map((g) => {
+    const tag = document.createElement("div");
+    tag.className = "tag";
+    tag.textContent = g.name;
+    element("tags").append(tag);
+    return { ...g, rgb: rgb(g.colour), opacity: 0.5, top: top(g.pose), tag };
+  });
   const fields = scene.fields.map((field) => ({ ...field, mesh: upload(field.mesh) }));
+  const candidates = scene.candidates && { ...scene.candidates, trail: upload(scene.candidates.trail),
+    poses: decode(scene.candidates.poses, Float32Array), colours: decode(scene.candidates.colours, Uint8Array) };
   const states = decode(scene.states, Float32Array), bodies = scene.bodies;
   const bodyPose = (state, body) => states.subarray(7 * (state * bodies + body), 7 * (state * bodies + body) + 7);
   const camera = { target: scene.target.slice() };
@@ -148,6 +166,34 @@
     const g = scene.grasps[scene.steps[step].transition];
     return element("marks").checked && g ? g.ids.map((id, k) => ({ id, k, colour: g.colours[k] })) : [];
   };
+  const TAIL = 5, red = [0.84, 0.1, 0.1];
+  const candidatesShown = () => candidates !== null && element("candidates").checked;
+  const frame = () => Number(element("iteration").value);
+  function* candidateGhosts() { // the accepted one first
+    const { count, length, poses, colours, accepted } = candidates;
+    const order = [...Array(count).keys()].sort((a, b) => (b === accepted) - (a === accepted));
+    for (const b of order) for (let i = 0; i < length; i++) {
+      const at = 7 * ((frame() * count + b) * length + i), c = 3 * (frame() * count + b);
+      yield { pose: poses.subarray(at, at + 7), opacity: b === accepted ? 0.75 : 0.5,
+        rgb: b === accepted ? red : [0, 1, 2].map((k) => colours[c + k] / 255) };
+    }
+  }
+  function drawGhosts(shown, drawn) { // of several at one place only the first, and of each only what is nearest
+    gl.enable(gl.BLEND);
+    for (const { pose, rgb, opacity } of shown) {
+      if (drawn.some((other) => same(pose, other))) continue;
+      drawn.push(pose);
+      gl.colorMask(false, false, false, false);
+      draw(meshes[scene.object], matrix(pose), rgb);
+      gl.colorMask(true, true, true, true);
+      draw(meshes[scene.object], matrix(pose), rgb, opacity);
+    }
+    gl.disable(gl.BLEND);
+  }
+  function drawTrail() { // the last steps
+    const { trail, count, length } = candidates, each = 6 * count * length, from = Math.max(0, frame() - TAIL);
+    if (frame() > 0) draw(trail, identity, null, 0.6, 0, each * from, each * (frame() - from));
+  }
   const markMatrix = (id) =>
     product(matrix(bodyPose(stateOf(step), bodies - 1)), matrix(scene.marks[id]));
 
@@ -179,6 +225,7 @@
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     const field = fields[Number(element("field").value)];
     if (field) draw(field.mesh, identity, null, 0.62, 0.25);
+    if (candidatesShown()) drawTrail();
     gl.enable(gl.STENCIL_TEST);
     gl.stencilFunc(gl.EQUAL, 1, 0xff);
     gl.stencilOp(gl.KEEP, gl.KEEP, gl.INCR);
@@ -192,19 +239,16 @@
     for (const part of others) draw(part.mesh, pose(part), part.rgb);
     for (const { id, k, colour } of marksShown()) {
       const picked = chosen[scene.steps[step].transition] === k;
-      draw(meshes[scene.mark], markMatrix(id), picked ? [0.84, 0.1, 0.1] : colour.map((c) => c / 255));
+      draw(meshes[scene.mark], markMatrix(id), picked ? red : colour.map((c) => c / 255));
     }
-    if (element("ghosts").checked) {
-      gl.enable(gl.BLEND);
-      const here = bodyPose(state, bodies - 1);
-      for (const ghost of ghosts) {
-        if (same(ghost.pose, here)) continue;
-        gl.colorMask(false, false, false, false);
-        draw(meshes[scene.object], ghost.matrix, ghost.rgb);
-        gl.colorMask(true, true, true, true);
-        draw(meshes[scene.object], ghost.matrix, ghost.rgb, 0.5);
-      }
-      gl.disable(gl.BLEND);
+    const drawn = [bodyPose(state, bodies - 1)];
+    if (candidatesShown()) drawGhosts(candidateGhosts(), drawn);
+    if (element("ghosts").checked) drawGhosts(ghosts, drawn);
+    for (const { tag, top } of ghosts) {
+      const [x, y] = onScreen(top);
+      tag.hidden = !element("ghosts").checked;
+      tag.style.left = `${x}px`;
+      tag.style.top = `${y}px`;
     }
   }
   const redraw = () => { if (!pending) { pending = true; requestAnimationFrame(render); } };
@@ -221,9 +265,11 @@
     element("info").textContent = g ? describe(g, chosen[transition]) : "";
     const field = fields[Number(element("field").value)];
     const energies = g && g.energies[0] !== null;
-    element("what").textContent = field ? "J_seq" : energies ? "energy of a grasp" : "clearance [mm]";
-    const ends = field ? [field.low, field.high] : g ? g.ends : [null, null];
+    const costs = field ? [field.low, field.high] : candidatesShown() ? candidates.ends : null;
+    element("what").textContent = costs ? "J_seq" : energies ? "energy of a grasp" : "clearance [mm]";
+    const ends = costs ? costs : g ? g.ends : [null, null];
     [element("low").textContent, element("high").textContent] = ends.map((x) => x === null ? "-" : String(Number(x.toFixed(3))));
+    if (candidates) element("stage").textContent = candidates.labels[frame()];
     redraw();
   }
   const describe = (g, k) => `grasp ${g.ids[k]}, one of ${g.ids.length} shared: energy ${number(g.energies[k], 3)}, ` +
@@ -243,7 +289,12 @@
   element("fieldline").hidden = fields.length === 0;
   element("slider").max = scene.steps.length - 1;
   element("slider").addEventListener("input", (event) => { playing = false; caption(); show(Number(event.target.value)); });
-  for (const id of ["ghosts", "marks", "field"]) element(id).addEventListener("change", () => show(step));
+  for (const id of ["ghosts", "marks", "field", "candidates"]) element(id).addEventListener("change", () => show(step));
+  if (candidates) {
+    element("candidateline").hidden = false;
+    element("iteration").max = candidates.labels.length - 1;
+    element("iteration").addEventListener("input", () => show(step));
+  }
   const caption = () => { element("play").textContent = playing ? "Pause" : "Play"; };
   element("play").addEventListener("click", () => {
     playing = !playing;
@@ -293,7 +344,10 @@
   }, { passive: false });
   window.addEventListener("resize", redraw);
   function screen(id) { // where the palm of a grasp's mark is on the screen [px]
-    const m = markMatrix(id), p = [0, 1, 2].map((d) => m[12 + d] - 0.03 * m[8 + d]);
+    const m = markMatrix(id);
+    return onScreen([0, 1, 2].map((d) => m[12 + d] - 0.03 * m[8 + d]));
+  }
+  function onScreen(p) { // where a point is on the screen [px]
     const [x, y, w] = [0, 1, 3].map((r) => projection[r] * p[0] + projection[4 + r] * p[1] + projection[8 + r] * p[2] +
       projection[12 + r]);
     return [(x / w + 1) / 2 * canvas.clientWidth, (1 - y / w) / 2 * canvas.clientHeight];
