@@ -105,13 +105,12 @@ def _print(plan: RegraspPlan, written: list[Path]) -> None:
             f"J_seq {plan.cost:.2f}, {plan.timings['total']:.2f} s"
         )
         table = Table(box=None, header_style="bold")
-        for heading in ("move", "from [m]", "to [m]", "placement", "shared grasps", "clearance [mm]"):
-            table.add_column(escape(heading), justify="left" if heading in ("from [m]", "to [m]") else "right")
+        for heading in ("move", "from", "to", "shared grasps", "clearance [mm]"):
+            table.add_column(escape(heading), justify="left" if heading in ("from", "to") else "right")
         for i, transition in enumerate(plan.transitions):
-            target = "goal" if i == plan.num_regrasps else str(plan.placements[i])
             clearance = f"{1e3 * transition.clearance.max():.1f}"
-            ends = [describe_pose(T) for T in plan.poses[i : i + 2]]
-            table.add_row(str(i), *ends, target, str(len(transition.grasp_ids)), clearance)
+            ends = [describe_pose(T, problem.placement_poses) for T in plan.poses[i : i + 2]]
+            table.add_row(str(i), *ends, str(len(transition.grasp_ids)), clearance)
         console.print(table)
     for path in written:
         console.print(f"written: {path}", markup=False, soft_wrap=True)

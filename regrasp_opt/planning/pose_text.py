@@ -12,6 +12,8 @@ import numpy as np
 from regrasp_opt.conventions import FloatArray, as_pose, planar_transform
 from regrasp_opt.errors import PoseError
 
+REST_TOLERANCE = 1e-4
+"""How far a rotation matrix's entries and the height [m] may together be off for a pose to be called a placement."""
 _PLANAR = re.compile(r"(-?\d{1,9}):([^,]+),([^,]+),([^,]+)")
 
 
@@ -69,6 +71,17 @@ def _is_file(path: Path) -> bool:
         return False
 
 
-def describe_pose(T: FloatArray) -> str:
-    """Return a short text for a pose: where its origin is [m]."""
-    return f"({T[0, 3]:+.3f}, {T[1, 3]:+.3f}, {T[2, 3]:+.3f})"
+def describe_pose(T: FloatArray, placements: FloatArray) -> str:
+    """Return the text that `parse_pose` reads as `T` (4, 4) to a millimetre and a tenth of a degree.
+
+    A pose that is none of the `placements` (S, 4, 4), moved on the table, is written as where its origin is [m].
+    """
+    turn: FloatArray = T[:3, :3] @ placements[:, :3, :3].transpose(0, 2, 1)
+    yaw = np.arctan2(turn[:, 1, 0] - turn[:, 0, 1], turn[:, 0, 0] + turn[:, 1, 1])
+    upright = planar_transform(np.stack([0 * yaw, 0 * yaw, yaw], axis=-1)) @ placements
+    moved = T[:3, 3] - upright[:, :3, 3]
+    error = np.abs(upright[:, :3, :3] - T[:3, :3]).max(axis=(1, 2)) + np.abs(moved[:, 2])
+    number = int(error.argmin())
+    if error[number] > REST_TOLERANCE:
+        return f"({T[0, 3]:+.3f}, {T[1, 3]:+.3f}, {T[2, 3]:+.3f})"
+    return f"{number}:{moved[number, 0]:.3f},{moved[number, 1]:.3f},{np.degrees(yaw[number]):.1f}"

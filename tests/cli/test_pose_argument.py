@@ -7,9 +7,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from regrasp_opt.conventions import planar_transform, translation
+from regrasp_opt.conventions import planar_transform, pose_distance, translation
 from regrasp_opt.errors import PoseError
-from regrasp_opt.planning.pose_text import parse_pose
+from regrasp_opt.planning.pose_text import describe_pose, parse_pose
 
 PLACEMENTS = np.array([np.eye(4), translation(0.0, 0.01, 0.1), np.diag([1.0, -1.0, -1.0, 1.0])])
 STEADY = settings(deadline=None, derandomize=True, max_examples=100)
@@ -32,6 +32,21 @@ def test_the_short_form_is_a_moved_placement(number, x, y, degrees):
     for text in (f"{number}:{x!r},{y!r},{degrees!r}", f" {number}: {x!r} , {y!r} ,{degrees!r} "):
         expected = planar_transform([x, y, np.deg2rad(degrees)]) @ PLACEMENTS[number]
         np.testing.assert_allclose(parse_pose(text, "start", PLACEMENTS), expected, atol=1e-12)
+
+
+@STEADY
+@given(st.integers(0, 2), numbers, numbers, st.floats(-180, 180))
+def test_what_is_printed_of_a_pose_can_be_given_again(number, x, y, degrees):
+    T = planar_transform([x, y, np.deg2rad(degrees)]) @ PLACEMENTS[number]
+    again = parse_pose(describe_pose(T, PLACEMENTS), "start", PLACEMENTS)
+    distance, angle = pose_distance(T, again)
+    assert distance < 1e-3 and angle < np.deg2rad(0.1)
+
+
+def test_a_pose_off_the_table_is_printed_as_where_it_is():
+    T = planar_transform([0.1, 0.2, 0.3]) @ PLACEMENTS[0]
+    T[2, 3] += 0.01
+    assert describe_pose(T, PLACEMENTS) == f"({T[0, 3]:+.3f}, {T[1, 3]:+.3f}, {T[2, 3]:+.3f})"
 
 
 def test_the_example_of_the_documentation():
