@@ -9,7 +9,7 @@ import numpy as np
 
 from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.errors import OptionError
-from regrasp_opt.planning import Recipe, RegraspPlan, solve_sequence
+from regrasp_opt.planning import Recipe, RegraspPlan, Status, solve_sequence
 from regrasp_opt.planning.recipes import as_recipe
 from regrasp_opt.solvers import RecordedBatch, RecordingRefiner, Refiner
 from regrasp_opt.viz.surfaces import Surface
@@ -66,7 +66,7 @@ def trace_candidates(plan: RegraspPlan, refiner: str | Refiner | Recipe = "ipopt
     Raises
     ------
     OptionError
-        If nothing was refined, because start and goal share a grasp or one of them has none.
+        If nothing was refined: start and goal share a grasp, one of them has none, or no poses have a chance.
     """
     recipe = as_recipe(refiner)
     recorder = RecordingRefiner(recipe.refiner)
@@ -74,7 +74,10 @@ def trace_candidates(plan: RegraspPlan, refiner: str | Refiner | Recipe = "ipopt
     ends = plan.poses[0], plan.poses[-1]
     found = solve_sequence(plan.problem, *ends, replace(recipe, refiner=recorder), max_regrasps=deepest, seed=plan.seed)
     if not recorder.batches:
-        why = "start and goal share a grasp" if found.solved else "start or goal has no feasible grasp"
+        why = {
+            Status.SOLVED: "start and goal share a grasp",
+            Status.NOT_FOUND: "by the learned energies no poses have a chance",
+        }.get(found.status, "start or goal has no feasible grasp")
         raise OptionError(f"there are no candidates to show: {why}, so nothing was refined; show the plan without them")
     count = recorder.batches[-1].starts.xi.shape[1]
     return _trace(recorder.name, [b for b in recorder.batches if b.starts.xi.shape[1] == count], found)
