@@ -56,6 +56,8 @@ class Report:
         Git revisions of the code that made the rows.
     settings : dict
         Sizes and seeds.
+    conclusion : str
+        What the tables say, in paragraphs with an empty line between them.
     """
 
     name: str
@@ -67,6 +69,7 @@ class Report:
     instances: dict[str, str] = field(default_factory=dict)
     revisions: tuple[str, ...] = ()
     settings: dict[str, Any] = field(default_factory=dict)
+    conclusion: str = ""
 
     @property
     def errors(self) -> list[Row]:
@@ -92,6 +95,7 @@ def write_report(report: Report, folder: Path) -> dict[str, Any]:
             {"title": t.title, "columns": list(t.columns), "rows": [list(row) for row in t.rows], "note": t.note}
             for t in report.tables
         ],
+        "conclusion": report.conclusion,
     }
     write_csv(report.rows, folder / "rows.csv")
     with atomic_path(folder / "index.html") as temporary:
@@ -127,6 +131,7 @@ def _section(summary: dict[str, Any], level: int) -> list[str]:
     for table in summary["tables"]:
         parts += [f"{heading}# {table['title']}", "", *_markdown(table), ""]
         parts += [table["note"], ""] if table["note"] else []
+    parts += [summary["conclusion"], ""] if summary.get("conclusion") else []
     for error in summary["errors"]:
         parts += [f"* `{error.get('object', '')}`: {error['error']}", ""]
     return parts
@@ -180,6 +185,7 @@ def _page(summary: dict[str, Any], figures: Sequence[Figure]) -> str:
         )
         parts.append(f"<h2>{html.escape(table['title'])}</h2><table><tr>{head}</tr>{body}</table>")
         parts.append(f"<p class='note'>{html.escape(table['note'])}</p>" if table["note"] else "")
+    parts += [f"<p>{html.escape(text)}</p>" for text in summary["conclusion"].split("\n\n") if text]
     if summary["errors"]:
         lines = "".join(
             f"<li>{html.escape(str(row.get('object', '')))}: {html.escape(str(row['error']))}</li>"

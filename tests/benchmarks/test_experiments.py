@@ -98,6 +98,23 @@ def test_hard_tiers_and_refiners_share_their_instances(session, monkeypatch):
     assert graph and all(row["num_regrasps"] == row["minimum"] for row in graph)
 
 
+def test_the_conclusion_names_the_fastest_of_the_most_successful():
+    def row(planner, pair, seconds, solved=True, regrasps=1):
+        effort = {"cost": -seconds, "evaluations": 30, "solves": 2, "before": 100.0}
+        found = {"solved": solved, "num_regrasps": regrasps, "first_proof": seconds}
+        return {"planner": planner, "pair": pair, "minimum": 1, **effort, **found}
+
+    seconds = {name: 2.0 for name in (refiners.GRAPH, *refiners.PLANNERS)} | {"lattice": 0.5, "Langevin": 0.1}
+    rows = [row(name, pair, s) for name, s in seconds.items() for pair in "ab"]
+    worse = [r | {"solved": r["pair"] == "a"} if r["planner"] == "Langevin" else r for r in rows]
+    longer = [r | {"num_regrasps": 2} if r["planner"] == "Langevin" else r for r in rows]
+    for given, winner in ((rows, "Langevin"), (worse, "lattice"), (longer, "lattice")):
+        first, second = refiners._conclusion(given).split("\n\n")
+        assert first.startswith(f"'{winner}' wins") and ("the ranking" in first) == (winner == "lattice")
+        assert "1500 ms over the lattice" in second and "takes 15 evaluations" in second
+    assert refiners._conclusion([r for r in rows if r["planner"] != "lattice"]) == ""
+
+
 def test_cross_effector(session, monkeypatch):
     tiny = cross_effector.Sizes(("w", "s1"), 1, 1, 500, Resolution(0.2, 4))
     monkeypatch.setattr(cross_effector, "QUICK", tiny)
