@@ -49,7 +49,7 @@ class Sizes:
 QUICK = Sizes(2, 100, 2, 1)
 FULL = Sizes(63, 10_000, 30, 10)
 TRIALS_AT_A_TIME = 10
-FILES_AT_A_TIME = 500
+FILES_AT_A_TIME = 2000
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,13 +47,13 @@ def load_energy(path: str | os.PathLike[str]) -> EnergyModel:
         If the file is missing, empty, corrupt or of another format.
     """
     path = Path(path)
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise ModelError(f"there is no model file '{path}'; make one with 'regrasp-opt prepare'")
     try:
         with safe_open(path, "numpy") as file:
             header = json.loads((file.metadata() or {}).get("regrasp_opt", "null"))
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
-    except (SafetensorError, OSError, ValueError) as error:
+    except (SafetensorError, OSError, ValueError, RecursionError) as error:
         raise ModelError(
             f"the model file '{path}' is empty or corrupt; make it again with 'regrasp-opt prepare'"
         ) from error

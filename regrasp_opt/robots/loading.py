@@ -115,10 +115,14 @@ def _source(
             if link not in links:
                 known = ", ".join(urdf.closest(link, links))
                 raise WorkcellError(f"{path}: no link '{link}' to ignore collisions of; known: {known}")
+    try:
+        xml = ET.tostring(root)
+    except RecursionError as error:
+        raise WorkcellError(f"robot file {path} has elements nested too deep; give a plain URDF file") from error
     return RobotSource(
         name=name or root.get("name") or path.stem,
         path=str(path),
-        xml=ET.tostring(root),
+        xml=xml,
         joints=tuple(joint.get("name", "") for joint in chain),
         tip=tip,
         home=None if home is None else tuple(map(float, home)),
