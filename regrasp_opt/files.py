@@ -78,6 +78,14 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
         shutil.rmtree(old, ignore_errors=True)
 
 
+def machine_memory() -> float:
+    """Return the physical memory of this machine [bytes]; infinity where the system does not say."""
+    try:
+        return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    except (AttributeError, OSError, ValueError):
+        return float("inf")
+
+
 def content_hash(*parts: Any) -> str:
     """Return the SHA-256 hex digest of arrays (rounded to 1e-9), strings, numbers, None and nested sequences."""
     digest = hashlib.sha256()

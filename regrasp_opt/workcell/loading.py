@@ -30,6 +30,9 @@ WORKCELL_NAMES = tuple(f"nova2-{name}" for name in END_EFFECTOR_NAMES)
 """The built-in workcells: the Nova2 with each of the built-in end-effectors."""
 
 
+LARGEST_WORKSPACE = 10.0
+"""A workspace wider than this is taken to be in another unit [m]; its pose lattice would not fit into memory."""
+
 LARGEST_OBSTACLE = 100.0
 """A mesh with a coordinate beyond this is taken to be in another unit [m]."""
 
@@ -117,6 +120,11 @@ def _check(workcell: Workcell, path: Path) -> None:
     """Raise a WorkcellError where the parts do not fit each other."""
     bounds, table = workcell.bounds, workcell.table
     for axis, (low, high), middle, size in zip("xy", (bounds.x, bounds.y), table.center, table.size, strict=True):
+        if high - low > LARGEST_WORKSPACE:
+            raise WorkcellError(
+                f"{path}: key 'workspace.{axis}': {low:g} to {high:g} is wider than {LARGEST_WORKSPACE:g} m; give "
+                "metres, and no more than the arm can reach"
+            )
         if low < middle - size / 2 - 1e-9 or high > middle + size / 2 + 1e-9:
             raise WorkcellError(
                 f"{path}: key 'workspace.{axis}': {low:g} to {high:g} leaves the table, which ends at "
