@@ -50,6 +50,8 @@ QUICK = Sizes(2, 100, 2, 1)
 FULL = Sizes(63, 10_000, 30, 10)
 TRIALS_AT_A_TIME = 10
 FILES_AT_A_TIME = 2000
+KILLS_AT_A_TIME = 10
+"""Kills that end with a run to the end and are kept together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,9 +78,8 @@ def run_reliability(session: Session) -> Report:
     """Run all parts."""
     sizes = QUICK if session.quick else FULL
     rows, hashes, revisions = _plan_part(session, sizes)
-    others = [*_fuzz_items(session, sizes), *_fault_items(session, sizes)]
-    disturbed = replace(session, jobs=1)  # signals are timed: nothing else may run beside them
-    for part, runner in ((others[:-_FAULTS], session), (others[-_FAULTS:], disturbed)):
+    alone = replace(session, jobs=1)  # signals are timed: nothing else may run beside them
+    for part, runner in ((_fuzz_items(session, sizes), session), (_fault_items(session, sizes), alone)):
         results = runner.execute("reliability", part)
         rows += results.rows
         revisions += results.revisions
@@ -158,15 +159,15 @@ def _fuzz_items(session: Session, sizes: Sizes) -> list[Item]:
 
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_FAULTS = len(JOBS) * (1 + len(SIGNALS))
 
 
 def _fault_items(session: Session, sizes: Sizes) -> list[Item]:
     items = []
     for name in JOBS:
-        kills = (name, session.seed, sizes.kills)
-        columns: Row = {"part": "faults", "command": name, "signal": "SIGKILL"}
-        items.append(Item(f"kill/{name}", content_hash("kill", *kills), kill_rows, kills, columns))
+        for first in range(0, sizes.kills, KILLS_AT_A_TIME):
+            kills = (name, session.seed, first, min(KILLS_AT_A_TIME, sizes.kills - first))
+            columns: Row = {"part": "faults", "command": name, "signal": "SIGKILL"}
+            items.append(Item(f"kill/{name}/{first}", content_hash("kill", *kills), kill_rows, kills, columns))
         for number in SIGNALS:
             sent = (name, int(number), session.seed, sizes.signals)
             columns = {"part": "faults", "command": name, "signal": number.name}
