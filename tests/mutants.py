@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import hashlib
 import json
 import os
 import random
@@ -27,27 +28,41 @@ from typing import Any
 
 import pytest
 from mutmut.mutation import trampoline
-from mutmut.mutation.file_mutation import MutatedFile, mutate_file_contents
+from mutmut.mutation.file_mutation import mutate_file_contents
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "mutants"
 LAYERS = ("connectivity", "feasibility", "planning")
 SLOW = "tests/planning/test_hundred_pairs.py"
+Mutated = dict[str, Any]
+"""A file with all its mutants: ``code``, ``names``, the lines (``spans``) and ``hashes`` of its functions."""
 KEPT, COUNTS = "sample.json", "counts.json"
 
 
-def make_mutants() -> dict[str, tuple[MutatedFile, str]]:
+def make_mutants() -> dict[str, tuple[Mutated, str]]:
     """Write the package with all mutants in it to `FOLDER`; return mutated file and layer by name of mutant."""
     shutil.rmtree(FOLDER / "regrasp_opt", ignore_errors=True)
     shutil.copytree(ROOT / "regrasp_opt", FOLDER / "regrasp_opt", ignore=shutil.ignore_patterns("__pycache__"))
     found = {}
     for layer in LAYERS:
         for path in sorted((FOLDER / "regrasp_opt" / layer).glob("*.py")):
-            mutated = mutate_file_contents(str(path), path.read_text("utf-8"))
-            path.write_text(mutated.code, encoding="utf-8")
+            mutated = mutate(path.read_text("utf-8"))
+            path.write_text(mutated["code"], encoding="utf-8")
             module = f"regrasp_opt.{layer}.{path.stem}"
-            found |= {f"{module}.{name}": (mutated, layer) for name in mutated.mutant_names}
+            found |= {f"{module}.{name}": (mutated, layer) for name in mutated["names"]}
     return found
+
+
+def mutate(source: str) -> Mutated:
+    """Return what mutmut makes of a file, or made of it before."""
+    kept = FOLDER / "made" / f"{hashlib.sha256(source.encode()).hexdigest()}.json"
+    if not kept.exists():
+        kept.parent.mkdir(exist_ok=True)
+        made = mutate_file_contents("", source)
+        spans = {name: (span.start, span.end) for name, span in made.line_span_by_function_name.items()}
+        content = {"code": made.code, "names": [*made.mutant_names], "spans": spans}
+        kept.write_text(json.dumps({**content, "hashes": {**made.hash_by_function_name}}), encoding="utf-8")
+    return dict(json.loads(kept.read_text("utf-8")))
 
 
 def function_of(mutant: str) -> str:
@@ -55,14 +70,14 @@ def function_of(mutant: str) -> str:
     return mutant.partition("__mutmut_")[0]
 
 
-def source_of(mutant: str, mutated: MutatedFile) -> tuple[str, str]:
+def source_of(mutant: str, mutated: Mutated) -> tuple[str, str]:
     """Return the function's hash, and what the mutant changes in it as a diff."""
     name = mutant.rpartition(".")[2]
     original = function_of(name)
-    lines = mutated.code.splitlines()
-    spans = [mutated.line_span_by_function_name[key] for key in (f"{original}__mutmut_orig", name)]
-    before, after = (lines[span.start - 1 : span.end] for span in spans)
-    return mutated.hash_by_function_name[original], "\n".join(difflib.unified_diff(before, after, lineterm="", n=1))
+    lines = mutated["code"].splitlines()
+    spans = [mutated["spans"][key] for key in (f"{original}__mutmut_orig", name)]
+    before, after = (lines[start - 1 : end] for start, end in spans)
+    return mutated["hashes"][original], "\n".join(difflib.unified_diff(before, after, lineterm="", n=1))
 
 
 def forked(work: Callable[[], int], cpu_seconds: int) -> int:
