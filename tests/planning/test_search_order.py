@@ -9,7 +9,7 @@ import pytest
 from regrasp_opt import CostOptions, Recipe, Status, solve_sequence
 from regrasp_opt.connectivity import SequenceObjective
 from regrasp_opt.errors import GraspError, OptionError
-from regrasp_opt.planning import search, tasks
+from regrasp_opt.planning import recipes, search, tasks
 from regrasp_opt.planning.recipes import RECIPES, as_recipe, paper_recipe
 from regrasp_opt.planning.tasks import random_graspable_pose, random_task
 from regrasp_opt.solvers import Candidates, LangevinRefiner, LatticeRefiner, NlpRefiner, PoseLattice
@@ -84,10 +84,11 @@ def test_a_plan_that_is_not_accepted_is_followed_by_the_next(bottle_problem, tas
     assert "accept" in plan.timings
     none = solve_sequence(bottle_problem, task.start, task.goal, recipe, max_regrasps=1, accept=lambda _: False)
     assert none.status is Status.NOT_FOUND
+    shown = []
     direct = solve_sequence(
-        bottle_problem, task.start, task.start, recipe, max_regrasps=1, accept=lambda p: p.poses[1:]
+        bottle_problem, task.start, task.start, recipe, accept=lambda one: shown.append(one) or True
     )
-    assert direct.num_regrasps == 0
+    assert direct.num_regrasps == 0 and shown == [direct]
 
 
 def test_the_papers_recipe_accepts_the_cheapest_below_the_threshold_and_proves_it_once(
@@ -142,7 +143,8 @@ def small(make_energy):
 
 
 @pytest.mark.parametrize(("starts", "count"), [("lattice", 9), ("random", 5), ("langevin", 5)])
-def test_start_points_are_as_many_as_are_refined_and_proved(small, starts, count):
+def test_start_points_are_as_many_as_are_refined_and_proved(small, starts, count, monkeypatch):
+    monkeypatch.setattr(recipes, "LANGEVIN_SAMPLES", 16)
     objective, lattice = small
     recipe = Recipe(LatticeRefiner(), starts, batches=(2, 3), fallback=4)
     asked = []
