@@ -36,6 +36,7 @@ LAYERS = ("connectivity", "feasibility", "planning")
 SLOW = "tests/planning/test_hundred_pairs.py"
 Mutated = dict[str, Any]
 """A file with all its mutants: ``code``, ``names``, the lines (``spans``) and ``hashes`` of its functions."""
+UNSEEN = ("survived", "no_tests")
 KEPT, COUNTS = "sample.json", "counts.json"
 
 
@@ -178,7 +179,7 @@ def main() -> None:
         for name in [name for name in sample if mutants[name][1] == layer]:
             code_hash, change = source_of(name, mutants[name][0])
             before = results.get(name, {})
-            done = before.get("hash") == code_hash and not (options.again and before["result"] == "survived")
+            done = before.get("hash") == code_hash and not (options.again and before["result"] in UNSEEN)
             if done or time.monotonic() > end:
                 continue
             tests = reach.get(function_of(name), [])
@@ -189,7 +190,7 @@ def main() -> None:
             result = "no_tests" if not tests else "survived" if code == 0 else "timeout" if code < 0 else "killed"
             results[name] = {"hash": code_hash, "result": result, "change": change}
             kept.write_text(json.dumps(results, indent=1), encoding="utf-8")
-            print(f"{result:9} {name}" + (f"\n{change}" if result in ("survived", "no_tests") else ""), flush=True)
+            print(f"{result:9} {name}" + (f"\n{change}" if result in UNSEEN else ""), flush=True)
     counted = [results[name]["result"] for name in sample if name in results]
     counts = {kind: counted.count(kind) for kind in ("killed", "timeout", "survived", "no_tests")}
     (FOLDER / COUNTS).write_text(json.dumps({**counts, "of": len(sample), "seed": options.seed}), encoding="utf-8")

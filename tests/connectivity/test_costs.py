@@ -78,6 +78,12 @@ def test_batches_are_scored_one_by_one(kind, h):
         assert float(truncated[i]) == pytest.approx(expected, abs=1e-12)
 
 
+def test_pairs_of_a_batch_may_differ_by_more_than_exp_can_hold():
+    a = np.array([[0.0, 1.0], [1e4, 2e4], [-1e4, 0.0]])
+    for score in (pair_score(a, a), truncated_pair_score(a, a, 1e6)):
+        np.testing.assert_allclose(score, [-np.log1p(np.exp(-2.0)), 2e4, -2e4])
+
+
 def test_a_grasp_at_the_threshold_does_not_count():
     assert truncated_pair_score(np.array([1.0]), np.array([1.0]), 2.0) == 0.0
     assert truncated_pair_score(np.array([1.0]), np.array([1.0]), 2.0 + 1e-9) == 2.0

@@ -91,6 +91,12 @@ def test_the_point_in_the_table_moves_with_the_object():
     assert verdict.any() and not verdict.all()
 
 
+def test_a_point_on_the_edge_of_the_table_is_free():
+    rule = TableRule(np.zeros((1, 1, 2)), np.array([[-0.5, -0.2], [0.4, 0.6]]))
+    xi = np.array([[0.4, 0.0, 0.0], [-0.5, 0.0, 0.0], [0.0, 0.6, 0.0], [0.0, -0.2, 0.0], [0.39, 0.59, 0.0]])
+    assert rule(np.zeros(5, dtype=int), xi)[:, 0].tolist() == [False] * 4 + [True]
+
+
 def test_with_one_regrasp_grasps_that_both_ends_block_do_not_matter(parts):
     energy, placements, _, _, numbers, xi = parts
     start = exact_energy([True, True, False, False] * 3)
