@@ -78,6 +78,21 @@ def test_a_stretched_elbow_is_found(nova2, bend):
     assert set(solutions.pose_index) == set(range(100))
 
 
+@pytest.mark.parametrize("twist", [0.0, 1e-9, 1e-4, 1e-2])
+@pytest.mark.parametrize("at", [0.0, np.pi])
+def test_near_the_wrists_singularity_branches_are_sound_and_from_a_little_off_none_is_missed(nova2, twist, at):
+    """At the singularity itself infinitely many configurations reach a pose; for some poses none is found there."""
+    q = configurations(nova2, 100, seed=11)
+    q[:, 4] = at + twist
+    T = nova2.forward(q)
+    solutions = nova2.solve_ik(T)
+    check_sound(nova2, T, solutions)
+    if twist >= 1e-4:
+        assert share_found(q, solutions) == 1.0
+    else:
+        assert len(set(solutions.pose_index)) > 60
+
+
 def test_float32_poses_have_solutions(nova2):
     T = nova2.forward(configurations(nova2, 100)).astype(np.float32)
     assert set(nova2.solve_ik(T).pose_index) == set(range(100))
