@@ -23,6 +23,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,7 @@ def make_mutants() -> dict[str, tuple[Mutated, str]]:
     """Write the package with all mutants in it to `FOLDER`; return mutated file and layer by name of mutant."""
     shutil.rmtree(FOLDER / "regrasp_opt", ignore_errors=True)
     shutil.copytree(ROOT / "regrasp_opt", FOLDER / "regrasp_opt", ignore=shutil.ignore_patterns("__pycache__"))
-    found = {}
+    found: dict[str, tuple[Mutated, str]] = {}
     for layer in LAYERS:
         for path in sorted((FOLDER / "regrasp_opt" / layer).glob("*.py")):
             mutated = mutate(path.read_text("utf-8"))
@@ -108,7 +109,7 @@ class Reached:
         self.tests: dict[str, tuple[float, list[str]]] = {}
         self.calls: set[str] = set()
         self.seconds = 0.0
-        trampoline.record_trampoline_hit = lambda name, caller=None: self.calls.add(name)  # type: ignore[assignment]
+        trampoline.record_trampoline_hit = lambda name, caller=None: self.calls.add(name)
 
     def pytest_runtest_makereport(self, call: Any) -> None:
         self.seconds += call.duration
@@ -184,7 +185,7 @@ def main() -> None:
                 continue
             tests = reach.get(function_of(name), [])
             limit = 60 + 5 * int(sum(seconds for seconds, _ in tests))
-            code = forked(lambda tests=tests, name=name: run_tests([t for _, t in tests], name), limit) if tests else 0
+            code = forked(partial(run_tests, [test for _, test in tests], name), limit) if tests else 0
             if code in (4, 5):
                 raise SystemExit(f"pytest finds no test of {name}; delete {FOLDER} and run this again")
             result = "no_tests" if not tests else "survived" if code == 0 else "timeout" if code < 0 else "killed"
