@@ -1,5 +1,6 @@
 """Labelled data: resumable, repeatable, the same whatever the number of workers, and an end where there is no hope."""
 
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from regrasp_opt.errors import GraspError, OptionError
 from regrasp_opt.feasibility import FeasibilityChecker, dataset
 from regrasp_opt.feasibility.dataset import LabellingTask, label_pairs, label_poses
+from regrasp_opt.files import machine_memory
 from regrasp_opt.grasps import sample_grasps
 from regrasp_opt.objects import load_object
 from regrasp_opt.workcell import load_workcell
@@ -129,6 +131,12 @@ def test_more_pairs_than_memory_are_refused_before_and_while_they_are_drawn(task
     assert len(label_pairs(task, 50, folder=tmp_path, jobs=1)) == 5000
     with pytest.raises(OptionError, match="samples need about"):  # about one pair in three is feasible
         label_pairs(task, 19_000, folder=tmp_path, jobs=1)
+
+
+def test_the_memory_of_the_machine_is_known_or_without_end(monkeypatch):
+    assert 1e8 < machine_memory() < 1e14
+    monkeypatch.delattr(os, "sysconf")
+    assert machine_memory() == float("inf")
 
 
 def test_the_fingerprint_follows_everything_that_labels_depend_on(task):
