@@ -3,11 +3,14 @@
 import json
 import logging
 import struct
+import subprocess
+import sys
 
 import pytest
 import trimesh
 
 from regrasp_opt import load_object, load_workcell
+from regrasp_opt.benchmarks.fuzz_targets import case
 from regrasp_opt.benchmarks.recheck import DATA
 from regrasp_opt.end_effectors import load_end_effector
 from regrasp_opt.energy.storage import load_energy
@@ -66,6 +69,30 @@ def test_xml_of_another_coding_or_nested_too_deep_is_refused(tmp_path):
 def test_a_model_whose_header_is_nested_too_deep_is_refused(tmp_path):
     header = json.dumps({"__metadata__": {"regrasp_opt": "[" * 100_000}}).encode()
     refused(load_energy, tmp_path / "a.safetensors", struct.pack("<Q", len(header)) + header, "corrupt", ModelError)
+
+
+def test_a_model_with_a_number_that_is_no_float_is_refused(tmp_path):
+    whole = (DATA / "models" / "bottle-nova2-w" / "energy.safetensors").read_bytes()
+    (size,) = struct.unpack("<Q", whole[:8])
+    header = json.loads(whole[8 : 8 + size])
+    inner = json.loads(header["__metadata__"]["regrasp_opt"])
+    header["__metadata__"]["regrasp_opt"] = json.dumps({**inner, "threshold": 10**400})
+    text = json.dumps(header).encode()
+    content = struct.pack("<Q", len(text)) + text + whole[8 + size :]
+    refused(load_energy, tmp_path / "a.safetensors", content, "lacks a field", ModelError)
+
+
+@pytest.mark.parametrize("number", [770, 1220])
+def test_meshes_that_two_readers_take_differently_are_read_once(number, tmp_path):
+    """Damaged files that we read well, and that end the process in the reader of Pinocchio."""
+    suffix, content = case("mesh of a link", 0, number, tmp_path)
+    (tmp_path / f"part{suffix}").write_bytes(content)
+    (tmp_path / "arm.urdf").write_text(ARM.format(f"part{suffix}"), encoding="utf-8")
+    script = "import sys; from regrasp_opt.robots import load_robot; print(load_robot(sys.argv[1]).dof)"
+    done = subprocess.run(
+        [sys.executable, "-c", script, tmp_path / "arm.urdf"], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout) == (0, "1\n"), done.stderr
 
 
 @pytest.fixture

@@ -76,7 +76,7 @@ def _assemble(header: Any, arrays: dict[str, Any], path: Path) -> EnergyModel:
             metadata=dict(header["metadata"]),
         )
         good = model.activation in ACTIVATIONS and model.features in FEATURE_SETS and _consistent(model)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ModelError(f"the model file '{path}' lacks a field; make it again with 'regrasp-opt prepare'") from error
     if not good:
         raise ModelError(f"the layers in '{path}' do not fit together; make it again with 'regrasp-opt prepare'")

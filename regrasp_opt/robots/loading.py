@@ -156,9 +156,8 @@ def build_robot(source: RobotSource) -> Robot:
 
 def _pinocchio_models(source: RobotSource) -> tuple[pin.Model, pin.GeometryModel]:
     """Return model and collision bodies with all joints locked but those of the chain."""
-    xml = source.xml.decode()
     try:
-        with _quiet_stderr():
+        with urdf.meshes_written_anew(source.xml) as xml, _quiet_stderr():
             full = pin.buildModelFromXML(xml)
             bodies = pin.buildGeomFromUrdfString(full, xml, pin.GeometryType.COLLISION)
     except (ValueError, RuntimeError) as error:

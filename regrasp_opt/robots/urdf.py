@@ -9,9 +9,13 @@ from __future__ import annotations
 import difflib
 import math
 import os
+import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+
+import trimesh
 
 from regrasp_opt.errors import MeshError, WorkcellError
 from regrasp_opt.files import report_outside
@@ -203,11 +207,29 @@ def _mesh_file(name: str, path: Path, folders: Sequence[Path]) -> Path:
 
 
 def _check_mesh(file: Path, path: Path) -> None:
-    """Raise a WorkcellError if a mesh is broken: the library that reads it for Pinocchio may crash on such a file."""
+    """Raise a WorkcellError if a mesh is broken."""
     try:
         read_triangles(file)
     except MeshError as error:
         raise WorkcellError(f"{path}: a collision mesh cannot be used: {error}") from error
+
+
+@contextmanager
+def meshes_written_anew(xml: bytes) -> Iterator[str]:
+    """Yield `xml`, whose mesh files `settle_meshes` has checked, with copies of them that hold sound triangles only.
+
+    The library that reads meshes for Pinocchio takes other lines of a damaged file for good than we do, and may then
+    read memory that is not its own. Formats that we cannot read stay as they are.
+    """
+    root = ET.fromstring(xml)
+    with tempfile.TemporaryDirectory() as folder:
+        for number, mesh in enumerate(root.iterfind("link/collision/geometry/mesh")):
+            file = Path(mesh.get("filename", ""))
+            if file.suffix.lower() in MESH_SUFFIXES:
+                copy = Path(folder) / f"{number}.stl"
+                trimesh.Trimesh(*read_triangles(file), process=False).export(copy)
+                mesh.set("filename", str(copy))
+        yield ET.tostring(root, encoding="unicode")
 
 
 def closest(name: str, known: Iterable[str]) -> list[str]:
