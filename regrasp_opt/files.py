@@ -1,14 +1,15 @@
-"""Atomic writes, content hashes and the folder where prepared models live."""
+"""Atomic writes, content hashes, files that files name, and the folder where prepared models live."""
 
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import shutil
 import struct
 import tempfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tokenize import TokenError
@@ -22,6 +23,19 @@ UNREADABLE_ARRAYS = (
     BadZipFile, TokenError, struct.error, zlib.error,
 )  # fmt: skip
 """What `numpy.load` raises on a broken file; NotImplementedError is a RuntimeError."""
+
+logger = logging.getLogger(__name__)
+
+
+def report_outside(source: Path, named: Iterable[Path], folders: Iterable[Path] = ()) -> None:
+    """Log one warning if files that `source` names lie neither in its folder nor in `folders`, links followed."""
+    inside = [folder.resolve() for folder in (source.parent, source.resolve().parent, *folders)]
+    paths = dict.fromkeys(path.resolve() for path in named if os.path.exists(path))
+    outside = [path for path in paths if not any(path.is_relative_to(folder) for folder in inside)]
+    if outside:
+        more = f" and {len(outside) - 1} more" if len(outside) > 1 else ""
+        text = "%s names '%s'%s outside its folder, which is read too; look at %s if you did not write the file"
+        logger.warning(text, source, outside[0], more, "it" if len(outside) == 1 else "them")
 
 
 @contextmanager
@@ -62,6 +76,14 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
     finally:
         shutil.rmtree(fresh, ignore_errors=True)
         shutil.rmtree(old, ignore_errors=True)
+
+
+def machine_memory() -> float:
+    """Return the physical memory of this machine [bytes]; infinity where the system does not say."""
+    try:
+        return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    except (AttributeError, OSError, ValueError):
+        return float("inf")
 
 
 def content_hash(*parts: Any) -> str:

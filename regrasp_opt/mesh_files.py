@@ -7,6 +7,7 @@ that is not its own.
 from __future__ import annotations
 
 import logging
+import os
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -40,7 +41,7 @@ def read_triangles(path: Path) -> tuple[FloatArray, IntArray]:
     """
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise MeshError(f"{path} is no mesh file that can be read; give one of {', '.join(MESH_SUFFIXES)}")
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise MeshError(f"mesh file {path} does not exist; give the path of an STL, OBJ, PLY or GLB file")
     try:
         with quiet_trimesh():

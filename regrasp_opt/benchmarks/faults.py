@@ -45,7 +45,7 @@ write_report(run_one_step(session), session.folder / "one-step")
 
 @dataclass(frozen=True)
 class Job:
-    """A command to be disturbed within some seconds; ``{}`` in its arguments stands for the folder."""
+    """A command; ``{}`` in its arguments stands for the folder. Signals are sent within its first `seconds`."""
 
     arguments: tuple[str, ...]
     seconds: float
@@ -111,8 +111,13 @@ def _is_whole(path: Path) -> bool:
     return True
 
 
-def kill_rows(name: str, seed: int, kills: int) -> list[Row]:
-    """Kill the job `name` of `JOBS` at `kills` random moments, and return one row about it.
+def kill_rows(name: str, seed: int, first: int, kills: int) -> list[Row]:
+    """Kill the job `name` of `JOBS` at `kills` random moments of its undisturbed time, and return one row about it.
+
+    Parameters
+    ----------
+    first : int
+        Number of the first of these kills in the campaign.
 
     Returns
     -------
@@ -121,15 +126,17 @@ def kill_rows(name: str, seed: int, kills: int) -> list[Row]:
         ``different``, those whose results were not those of an undisturbed run; ``left_over`` temporary files of killed
         runs; ``examples`` in words.
     """
-    job, rng = JOBS[name], np.random.default_rng([seed, 70, len(name)])
+    job, rng = JOBS[name], np.random.default_rng([seed, 70, len(name), first])
     counts = {"kills": 0, "half_files": 0, "failed": 0, "different": 0, "left_over": 0}
     bad: list[str] = []
     with tempfile.TemporaryDirectory() as place:
         alone, folder = Path(place) / "alone", Path(place) / "disturbed"
+        began = time.perf_counter()
         bad += [text for text in [finish(job, alone)] if text]
+        whole = time.perf_counter() - began
         expected = {name.replace(str(alone), ""): value for name, value in results(alone).items()}
         while counts["kills"] < kills:
-            if _killed(start(job, folder), float(rng.uniform(0.0, job.seconds))):
+            if _killed(start(job, folder), float(rng.uniform(0.0, whole))):
                 counts["kills"] += 1
                 halves = half_files(folder)
                 counts["half_files"] += len(halves)

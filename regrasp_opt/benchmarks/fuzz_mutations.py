@@ -26,6 +26,7 @@ _VALUES: tuple[Any, ...] = (
     None, True, False, 0, -1, 1, 2**31, 2**63, 10**400, 0.5, -1e308, 1e-320, "", "text", "\0", "../" * 6 + "etc/passwd",
     "built-in", [], {}, [[]], [0.0] * 4, {"a": {}},
 )  # fmt: skip
+_TOO_FAR = (b"9" * 5000, b"[" * 5000, b'{"a":' * 3000, b"<a>" * 3000, b"x" * 5000, b"a\\u0000b", b"\0")
 _TOKEN_EDGES = frozenset(b" \t\r\n,;:=[](){}<>\"'/")
 
 
@@ -125,6 +126,15 @@ def _replace_word(data: bytes, rng: np.random.Generator, *, numbers: bool) -> by
     return data[:begin] + new + data[end:]
 
 
+def _go_too_far(data: bytes, rng: np.random.Generator) -> bytes:
+    """Put something longer or deeper than a parser may expect in the place of a word."""
+    tokens = _tokens(data)
+    if not tokens:
+        return data
+    begin, end = tokens[rng.integers(len(tokens))]
+    return data[:begin] + _TOO_FAR[rng.integers(len(_TOO_FAR))] + data[end:]
+
+
 def _change_number(data: bytes, rng: np.random.Generator) -> bytes:
     return _replace_word(data, rng, numbers=True)
 
@@ -151,7 +161,7 @@ def _change_lines(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 _TEXT_DAMAGE: tuple[Callable[[bytes, np.random.Generator], bytes], ...] = (
-    _change_number, _change_number, _swap_word, _change_lines,
+    _change_number, _change_number, _swap_word, _change_lines, _go_too_far,
 )  # fmt: skip
 
 

@@ -185,7 +185,6 @@ def _low_energy(problem: RegraspProblem, instance: Instance, kept: list[Candidat
     return low, failed
 
 
-def minimum_on_grid(problem: RegraspProblem, ids: IntArray, oracle: Oracle, instance: Instance) -> int | None:
-    """Return the fewest regrasps that the grid of the whole `problem` needs with its grasps `ids`, or None."""
-    start, goal = (problem.feasible_grasps(T)[ids] for T in (instance.start, instance.goal))
-    return oracle.with_grasps(ids).minimum_regrasps(start, goal)
+def minimum_on_grid(problem: RegraspProblem, oracle: Oracle, instance: Instance) -> int | None:
+    """Return the fewest regrasps that the grid of `problem` needs, or None."""
+    return oracle.minimum_regrasps(*(problem.feasible_grasps(T) for T in (instance.start, instance.goal)))

@@ -66,6 +66,8 @@ def run(arguments: list[str]) -> int:
         return _fail(str(error), error)
     except OSError as error:
         return _fail(f"{error.strerror or error}: {error.filename}" if error.filename else str(error), error)
+    except MemoryError as error:
+        return _fail("there is not enough memory for this; ask for fewer samples, grasps or regrasps", error)
     except Exception as error:  # the last resort: a defect of ours must not spill a traceback either
         return _fail(f"internal error ({type(error).__name__}: {error}); run again with --debug and report it", error)
     except KeyboardInterrupt:

@@ -139,7 +139,7 @@ def load_end_effector(name_or_path: str | os.PathLike[str]) -> EndEffector:
         raise UnknownNameError("end-effector", name_or_path, END_EFFECTOR_NAMES)
     try:
         text = path.read_text("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise WorkcellError(f"end-effector file {path} cannot be read; give the path of a TOML file") from error
     return _parse(text, path.stem, str(path))
 
@@ -148,7 +148,7 @@ def _parse(text: str, name: str, source: str) -> EndEffector:
     where = f"end-effector '{name}'" if source == "built-in" else source
     try:
         data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise WorkcellError(f"{where} is not valid TOML: {error}") from error
     try:
         schema = _EndEffectorSchema.model_validate(data)

@@ -47,13 +47,13 @@ def load_energy(path: str | os.PathLike[str]) -> EnergyModel:
         If the file is missing, empty, corrupt or of another format.
     """
     path = Path(path)
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise ModelError(f"there is no model file '{path}'; make one with 'regrasp-opt prepare'")
     try:
         with safe_open(path, "numpy") as file:
             header = json.loads((file.metadata() or {}).get("regrasp_opt", "null"))
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
-    except (SafetensorError, OSError, ValueError) as error:
+    except (SafetensorError, OSError, ValueError, RecursionError) as error:
         raise ModelError(
             f"the model file '{path}' is empty or corrupt; make it again with 'regrasp-opt prepare'"
         ) from error
@@ -76,7 +76,7 @@ def _assemble(header: Any, arrays: dict[str, Any], path: Path) -> EnergyModel:
             metadata=dict(header["metadata"]),
         )
         good = model.activation in ACTIVATIONS and model.features in FEATURE_SETS and _consistent(model)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ModelError(f"the model file '{path}' lacks a field; make it again with 'regrasp-opt prepare'") from error
     if not good:
         raise ModelError(f"the layers in '{path}' do not fit together; make it again with 'regrasp-opt prepare'")

@@ -23,6 +23,9 @@ from regrasp_opt.objects import ObjectModel
 from regrasp_opt.shapes import surface_points
 from regrasp_opt.workcell import Workcell
 
+PAIRS_AT_ONCE = 20_000
+"""Pairs that are checked together, in some ten MB of corners and branches, however many are asked for."""
+
 
 class Branches(NamedTuple):
     """Arm configurations (M, dof) and the number of the (pose, grasp) pair that each belongs to (M,)."""
@@ -86,8 +89,10 @@ class FeasibilityChecker:
 
     def feasible_pairs(self, T: FloatArray, grasp_ids: IntArray) -> BoolArray:
         """Return the feasibility (M,) of M pairs of object poses `T` (M, 4, 4) and `grasp_ids` (M,)."""
+        parts = [slice(first, first + PAIRS_AT_ONCE) for first in range(0, len(grasp_ids), PAIRS_AT_ONCE)]
         with self._lock:
-            return self._feasible_pairs(T, grasp_ids)
+            found = [self._feasible_pairs(T[part], grasp_ids[part]) for part in parts]
+        return np.concatenate(found) if found else np.zeros(0, dtype=bool)
 
     def _feasible_pairs(self, T: FloatArray, grasp_ids: IntArray) -> BoolArray:
         result = np.zeros(len(grasp_ids), dtype=bool)

@@ -17,9 +17,9 @@ import joblib
 import numpy as np
 
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, planar_transform
-from regrasp_opt.errors import GraspError
+from regrasp_opt.errors import GraspError, OptionError
 from regrasp_opt.feasibility.checker import FeasibilityChecker
-from regrasp_opt.files import UNREADABLE_ARRAYS, atomic_path, content_hash
+from regrasp_opt.files import UNREADABLE_ARRAYS, atomic_path, content_hash, machine_memory
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.workcell import Workcell
@@ -28,6 +28,10 @@ POSES_PER_BLOCK = 200
 GRASPS_PER_POSE = 25
 _HOPELESS_BLOCKS = 20
 """Blocks without one feasible pair after which sampling gives up."""
+BYTES_PER_PAIR = 2500
+"""Memory that a pair takes until both energies are trained: its pose, its features, and copies of both."""
+_ENOUGH_TO_TELL = 200
+"""Feasible pairs that say well enough how many pairs will have to be drawn."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +115,10 @@ def label_pairs(
     ------
     GraspError
         If no grasp is feasible anywhere in the workspace.
+    OptionError
+        If the pairs would not fit into the memory of this machine.
     """
+    _check_memory(feasible_wanted, feasible_wanted)
     name = task.fingerprint()[:16]
     blocks: list[LabelledPairs] = []
     found = 0
@@ -124,6 +131,8 @@ def label_pairs(
                 found += int(block.feasible.sum())
                 if progress is not None:
                     progress(min(found, feasible_wanted), feasible_wanted)
+            if found >= _ENOUGH_TO_TELL:
+                _check_memory(feasible_wanted, feasible_wanted * sum(map(len, blocks)) / found)
             if len(blocks) >= _HOPELESS_BLOCKS and not any(b.feasible.any() for b in blocks[:_HOPELESS_BLOCKS]):
                 raise GraspError(
                     f"no grasp of '{task.workcell.end_effector.name}' on '{task.model.name}' is feasible anywhere in "
@@ -136,6 +145,15 @@ def label_pairs(
         np.concatenate([b.grasp_ids for b in blocks]),
         np.concatenate([b.feasible for b in blocks]),
     )
+
+
+def _check_memory(feasible_wanted: int, pairs: float) -> None:
+    needed, there = pairs * BYTES_PER_PAIR, machine_memory()
+    if needed > there:
+        raise OptionError(
+            f"{feasible_wanted} samples need about {needed / 2**30:.3g} GB of memory, and this machine has "
+            f"{there / 2**30:.3g} GB; ask for fewer samples"
+        )
 
 
 def label_poses(task: LabellingTask, count: int, *, jobs: int = -1) -> LabelledPoses:

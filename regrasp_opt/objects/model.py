@@ -98,7 +98,7 @@ def load_object(name_or_path: str | os.PathLike[str], *, scale: float = 1.0, rep
     if isinstance(name_or_path, str) and name_or_path in OBJECT_NAMES:
         return _built_in(name_or_path, scale)
     path = Path(name_or_path)
-    is_bare = isinstance(name_or_path, str) and path.name == name_or_path and not path.is_file()
+    is_bare = isinstance(name_or_path, str) and path.name == name_or_path and not os.path.isfile(path)
     if is_bare and path.suffix.lower() not in MESH_SUFFIXES:
         raise UnknownNameError("object", str(name_or_path), OBJECT_NAMES)
     mesh = read_mesh(path, scale=scale, repair=repair)

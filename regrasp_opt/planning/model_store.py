@@ -80,7 +80,7 @@ def read_report(folder: Path) -> dict[str, Any]:
         report = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise ModelError(f"'{folder}' holds no prepared model; make one with 'regrasp-opt prepare'") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ModelError(f"'{path}' is corrupt; delete the folder and run 'regrasp-opt prepare' again") from error
     if not isinstance(report, dict) or report.get("format") != FORMAT or "key" not in report:
         raise ModelError(f"'{path}' is no model report of format {FORMAT}; run 'regrasp-opt prepare' again")

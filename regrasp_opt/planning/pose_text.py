@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 from pathlib import Path
 
@@ -49,7 +50,7 @@ def parse_pose(text: str, name: str, placements: FloatArray) -> FloatArray:
 
 
 def _from_file(path: Path, name: str) -> FloatArray:
-    if path.suffix != ".json" and not _is_file(path):
+    if path.suffix != ".json" and not os.path.isfile(path):
         raise PoseError(
             f"the {name} '{path}' is no pose; write it like 2:0.30,0.25,45 or name a JSON file with a 4x4 matrix"
         )
@@ -62,13 +63,6 @@ def _from_file(path: Path, name: str) -> FloatArray:
             f"the {name} file '{path}' is not valid JSON; it must hold four rows of four numbers"
         ) from error
     return as_pose(matrix, f"{name} pose in '{path}'")
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # longer than a path may be, or with a null character
-        return False
 
 
 def describe_pose(T: FloatArray, placements: FloatArray) -> str:

@@ -115,10 +115,14 @@ def _source(
             if link not in links:
                 known = ", ".join(urdf.closest(link, links))
                 raise WorkcellError(f"{path}: no link '{link}' to ignore collisions of; known: {known}")
+    try:
+        xml = ET.tostring(root)
+    except RecursionError as error:
+        raise WorkcellError(f"robot file {path} has elements nested too deep; give a plain URDF file") from error
     return RobotSource(
         name=name or root.get("name") or path.stem,
         path=str(path),
-        xml=ET.tostring(root),
+        xml=xml,
         joints=tuple(joint.get("name", "") for joint in chain),
         tip=tip,
         home=None if home is None else tuple(map(float, home)),
@@ -152,9 +156,8 @@ def build_robot(source: RobotSource) -> Robot:
 
 def _pinocchio_models(source: RobotSource) -> tuple[pin.Model, pin.GeometryModel]:
     """Return model and collision bodies with all joints locked but those of the chain."""
-    xml = source.xml.decode()
     try:
-        with _quiet_stderr():
+        with urdf.meshes_written_anew(source.xml) as xml, _quiet_stderr():
             full = pin.buildModelFromXML(xml)
             bodies = pin.buildGeomFromUrdfString(full, xml, pin.GeometryType.COLLISION)
     except (ValueError, RuntimeError) as error:

@@ -9,11 +9,16 @@ from __future__ import annotations
 import difflib
 import math
 import os
+import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
+import trimesh
+
 from regrasp_opt.errors import MeshError, WorkcellError
+from regrasp_opt.files import report_outside
 from regrasp_opt.mesh_files import MESH_SUFFIXES, read_triangles
 
 PREFERRED_TIPS = ("tool0", "flange", "ee_link")
@@ -31,10 +36,12 @@ def read_urdf(path: Path) -> ET.Element:
         If the file is missing, is no XML, or holds no robot.
     """
     try:
-        root = ET.fromstring(path.read_bytes())
-    except OSError as error:
+        content = path.read_bytes()
+    except (OSError, ValueError) as error:
         raise WorkcellError(f"robot file {path} cannot be read; give the path of a URDF file") from error
-    except ET.ParseError as error:
+    try:
+        root = ET.fromstring(content)
+    except (ET.ParseError, ValueError, LookupError) as error:
         raise WorkcellError(f"robot file {path} is not valid XML: {error}") from error
     if root.tag != "robot" or root.find("link") is None:
         raise WorkcellError(f"robot file {path} has no <robot> with links; give a URDF file (expand xacro first)")
@@ -162,7 +169,8 @@ def settle_meshes(root: ET.Element, path: Path, package_dirs: Iterable[str | os.
     """Make the file names of all collision meshes absolute, in place.
 
     ``package://name/...`` is looked up in `package_dirs` and in every folder above the URDF file, a
-    relative name beside the URDF file.
+    relative name beside the URDF file. Meshes elsewhere than in the folder of the URDF file, in its own
+    package and in `package_dirs` are reported in one warning.
 
     Raises
     ------
@@ -170,30 +178,58 @@ def settle_meshes(root: ET.Element, path: Path, package_dirs: Iterable[str | os.
         If a mesh file is not found or broken.
     """
     folders = [*map(Path, package_dirs), *path.resolve().parents]
+    found: dict[Path, None] = {}
     for mesh in root.iterfind("link/collision/geometry/mesh"):
-        name = mesh.get("filename", "")
-        scheme, _, rest = name.rpartition("://")
-        relative = Path(rest)
-        if scheme in ("package", "model"):
-            inner = Path(*relative.parts[1:])
-            candidates = [folder / relative for folder in folders]
-            candidates += [folder / inner for folder in folders if folder.name == relative.parts[0]]
-        else:
-            candidates = [path.resolve().parent / relative]
-        found = next((candidate for candidate in candidates if candidate.is_file()), None)
-        if found is None:
-            raise WorkcellError(f"{path}: mesh '{name}' is not found; name the folder of its package in package_dirs")
-        if found.suffix.lower() in MESH_SUFFIXES:
-            _check_mesh(found, path)
-        mesh.set("filename", str(found.resolve()))
+        file = _mesh_file(mesh.get("filename", ""), path, folders)
+        mesh.set("filename", str(file.resolve()))
+        found[file] = None
+    own = [folder for folder in path.resolve().parents if (folder / "package.xml").is_file()][:1]
+    report_outside(path, found, [*map(Path, package_dirs), *own])
+    for file in found:
+        if file.suffix.lower() in MESH_SUFFIXES:
+            _check_mesh(file, path)
+
+
+def _mesh_file(name: str, path: Path, folders: Sequence[Path]) -> Path:
+    """Return the file that `name` means in the URDF file at `path`; packages are looked up in `folders`."""
+    scheme, _, rest = name.rpartition("://")
+    relative = Path(rest)
+    if scheme in ("package", "model") and relative.parts:
+        inner = Path(*relative.parts[1:])
+        candidates = [folder / relative for folder in folders]
+        candidates += [folder / inner for folder in folders if folder.name == relative.parts[0]]
+    else:
+        candidates = [path.resolve().parent / relative]
+    found = next((candidate for candidate in candidates if os.path.isfile(candidate)), None)
+    if found is None:
+        raise WorkcellError(f"{path}: mesh '{name}' is not found; name the folder of its package in package_dirs")
+    return found
 
 
 def _check_mesh(file: Path, path: Path) -> None:
-    """Raise a WorkcellError if a mesh is broken: the library that reads it for Pinocchio may crash on such a file."""
+    """Raise a WorkcellError if a mesh is broken."""
     try:
         read_triangles(file)
     except MeshError as error:
         raise WorkcellError(f"{path}: a collision mesh cannot be used: {error}") from error
+
+
+@contextmanager
+def meshes_written_anew(xml: bytes) -> Iterator[str]:
+    """Yield `xml`, whose mesh files `settle_meshes` has checked, with copies of them that hold sound triangles only.
+
+    The library that reads meshes for Pinocchio takes other lines of a damaged file for good than we do, and may then
+    read memory that is not its own. Formats that we cannot read stay as they are.
+    """
+    root = ET.fromstring(xml)
+    with tempfile.TemporaryDirectory() as folder:
+        for number, mesh in enumerate(root.iterfind("link/collision/geometry/mesh")):
+            file = Path(mesh.get("filename", ""))
+            if file.suffix.lower() in MESH_SUFFIXES:
+                copy = Path(folder) / f"{number}.stl"
+                trimesh.Trimesh(*read_triangles(file), process=False).export(copy)
+                mesh.set("filename", str(copy))
+        yield ET.tostring(root, encoding="unicode")
 
 
 def closest(name: str, known: Iterable[str]) -> list[str]:

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from regrasp_opt.conventions import FloatArray, rotation_rpy, translation
 from regrasp_opt.end_effectors import END_EFFECTOR_NAMES, EndEffector, load_end_effector
 from regrasp_opt.errors import MeshError, UnknownNameError, WorkcellError
+from regrasp_opt.files import report_outside
 from regrasp_opt.mesh_files import read_triangles
 from regrasp_opt.robots import Robot, load_robot
 from regrasp_opt.shapes import Box, Cylinder, Mesh, Shape
@@ -28,6 +29,9 @@ else:
 WORKCELL_NAMES = tuple(f"nova2-{name}" for name in END_EFFECTOR_NAMES)
 """The built-in workcells: the Nova2 with each of the built-in end-effectors."""
 
+
+LARGEST_WORKSPACE = 10.0
+"""A workspace wider than this is taken to be in another unit [m]; its pose lattice would not fit into memory."""
 
 LARGEST_OBSTACLE = 100.0
 """A mesh with a coordinate beyond this is taken to be in another unit [m]."""
@@ -66,11 +70,11 @@ def load_workcell(
 def _parse(path: Path) -> WorkcellFile:
     try:
         text = path.read_text("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise WorkcellError(f"workcell file {path} cannot be read; give the path of a TOML file") from error
     try:
         data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise WorkcellError(f"{path} is not valid TOML: {error}") from error
     try:
         return WorkcellFile.model_validate(data)
@@ -80,6 +84,7 @@ def _parse(path: Path) -> WorkcellFile:
 
 def _build(content: WorkcellFile, path: Path, source: str, override: str | os.PathLike[str] | None) -> Workcell:
     table, workspace, margins = content.table, content.workspace, content.clearance
+    report_outside(path, _named_files(content, path, override))
     workcell = Workcell(
         name=content.name or path.stem,
         robot=_robot(content.robot, path),
@@ -96,6 +101,14 @@ def _build(content: WorkcellFile, path: Path, source: str, override: str | os.Pa
     return workcell
 
 
+def _named_files(content: WorkcellFile, path: Path, override: str | os.PathLike[str] | None) -> list[Path]:
+    """Return the files and folders that the file at `path` has read; built-in names are none."""
+    models = [content.robot.model, *([content.end_effector.model] if override is None else [])]
+    named = [file for file in (_relative(name, path.parent) for name in models) if isinstance(file, Path)]
+    named += [path.parent / name for name in content.robot.package_dirs]
+    return named + [path.parent / section.file for section in content.obstacles if section.file is not None]
+
+
 def _override(end_effector: str | os.PathLike[str] | None) -> str | None:
     """Return what loads the same end-effector from any folder."""
     if end_effector is None or str(end_effector) in END_EFFECTOR_NAMES:
@@ -107,6 +120,11 @@ def _check(workcell: Workcell, path: Path) -> None:
     """Raise a WorkcellError where the parts do not fit each other."""
     bounds, table = workcell.bounds, workcell.table
     for axis, (low, high), middle, size in zip("xy", (bounds.x, bounds.y), table.center, table.size, strict=True):
+        if high - low > LARGEST_WORKSPACE:
+            raise WorkcellError(
+                f"{path}: key 'workspace.{axis}': {low:g} to {high:g} is wider than {LARGEST_WORKSPACE:g} m; give "
+                "metres, and no more than the arm can reach"
+            )
         if low < middle - size / 2 - 1e-9 or high > middle + size / 2 + 1e-9:
             raise WorkcellError(
                 f"{path}: key 'workspace.{axis}': {low:g} to {high:g} leaves the table, which ends at "
@@ -171,7 +189,7 @@ def _obstacle(section: ObstacleSection, path: Path) -> Shape:
 def _mesh(section: ObstacleSection, path: Path, pose: FloatArray) -> Mesh:
     file = path.parent / str(section.file)
     where = f"{path}: mesh '{file}' of obstacle '{section.name}'"
-    if not file.is_file():
+    if not os.path.isfile(file):
         raise WorkcellError(f"{where} is not there; give a path relative to the workcell file")
     try:
         vertices, faces = read_triangles(file)

@@ -14,7 +14,7 @@ from regrasp_opt.benchmarks.fuzzing import fuzz_rows, read_once
 from regrasp_opt.benchmarks.instances import PosePool
 from regrasp_opt.benchmarks.recheck import Recheck
 from regrasp_opt.benchmarks.reliability_plans import choose_pairs, trial_rows, write_obstacles, wrong_claims
-from regrasp_opt.benchmarks.reliability_tables import branch_coverage, mutants_killed, reliability_tables
+from regrasp_opt.benchmarks.reliability_tables import branch_coverage, mutants, reliability_tables
 from regrasp_opt.errors import MeshError
 from regrasp_opt.workcell import load_workcell
 
@@ -135,7 +135,7 @@ for number in range(4):
 def test_kills_are_counted_and_the_results_compared(monkeypatch, tmp_path):
     job = Job((_STEPS, "{}"), 0.5)
     monkeypatch.setitem(JOBS, "prepare", job)
-    [row] = kill_rows("prepare", 0, 3)
+    [row] = kill_rows("prepare", 0, 0, 3)
     assert (row["kills"], row["half_files"], row["failed"], row["different"]) == (3, 0, 0, 0), row
     assert finish(job, tmp_path) == "" and sorted(results(tmp_path)) == [f"models/{n}.npz" for n in range(4)]
     assert "boom" in finish(Job(("raise SystemExit('boom')",), 1.0), tmp_path)
@@ -171,9 +171,9 @@ def test_the_summary_counts_what_the_rows_hold(tmp_path, monkeypatch):
 
 
 def test_coverage_and_mutants_are_read_from_the_files_of_their_tools(tmp_path):
-    coverage, mutants = tmp_path / "coverage.json", tmp_path / "mutants.json"
+    coverage, counts = tmp_path / "coverage.json", tmp_path / "counts.json"
     coverage.write_text(json.dumps({"totals": {"num_branches": 8, "covered_branches": 6}}), encoding="utf-8")
-    mutants.write_text(json.dumps({"killed": 5, "timeout": 2, "survived": 2, "no_tests": 1}), encoding="utf-8")
-    assert branch_coverage(coverage) == 75.0 and mutants_killed(mutants) == 70.0
+    counts.write_text(json.dumps({"killed": 5, "timeout": 2, "survived": 2, "no_tests": 1}), encoding="utf-8")
+    assert branch_coverage(coverage) == 75.0 and mutants(counts) == (10, 70.0)
     coverage.write_text("[]", encoding="utf-8")
-    assert branch_coverage(coverage) is None and mutants_killed(tmp_path / "none") is None
+    assert branch_coverage(coverage) is None and mutants(tmp_path / "none") == (None, None)

@@ -302,6 +302,16 @@ def test_wrong_arguments_are_named(make_problem_energy, wrong, error, message):
         make_problem_energy()[0].casadi_functions(**{"placements": PLACEMENTS, **wrong})
 
 
+def test_a_single_pose_may_move(make_problem_energy):
+    energy, ends, xi = make_problem_energy()
+    options = CostOptions(alpha=0.6)
+    full = energy.casadi_pose_functions(num_poses=np.int64(1), start=ends[:, 0], goal=ends[:, 1], options=options)
+    T = planar_transform(xi[:, 0]) @ energy.placements[PLACEMENTS[0]]
+    chain = np.vstack([ends[:, 0], energy(T), ends[:, 1]])
+    assert full.J_seq.size_in(0) == (4, 4)
+    assert float(full.J_seq(T)) == pytest.approx(float(sequence_cost(chain, options)), abs=1e-12)
+
+
 @pytest.mark.parametrize("count", [0, 1.5, True])
 def test_the_number_of_poses_is_checked(make_problem_energy, count):
     with pytest.raises(OptionError, match="num_poses is"):

@@ -93,6 +93,18 @@ def test_single_batch_any_order_and_subset_agree(bottle):
     assert checker.feasible(T[0], np.array([], dtype=np.int64)).shape == (0,)
 
 
+def test_a_large_batch_is_checked_in_parts(bottle, monkeypatch):
+    model, cell, grasps, checker = bottle
+    T, ids = draw(model, cell, 100, 0, len(grasps))
+    whole = checker.feasible_pairs(T, ids)
+    seen = []
+    branches = checker.branches
+    monkeypatch.setattr(checker, "branches", lambda T, ids: seen.append(len(ids)) or branches(T, ids))
+    monkeypatch.setattr("regrasp_opt.feasibility.checker.PAIRS_AT_ONCE", 7)
+    np.testing.assert_array_equal(checker.feasible_pairs(T, ids), whole)
+    assert max(seen) <= 7 and checker.feasible_pairs(T[:0], ids[:0]).shape == (0,)
+
+
 @pytest.mark.parametrize(("kind", "count"), [("plain", 2000), ("shelf", 700), ("suction", 1000), ("ur5", 250)])
 def test_labels_equal_a_plain_loop(kind, count, tmp_path):
     model, cell, grasps = setting(kind, tmp_path)

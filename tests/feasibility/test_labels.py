@@ -1,13 +1,15 @@
 """Labelled data: resumable, repeatable, the same whatever the number of workers, and an end where there is no hope."""
 
+import os
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from regrasp_opt.errors import GraspError
-from regrasp_opt.feasibility import FeasibilityChecker
+from regrasp_opt.errors import GraspError, OptionError
+from regrasp_opt.feasibility import FeasibilityChecker, dataset
 from regrasp_opt.feasibility.dataset import LabellingTask, label_pairs, label_poses
+from regrasp_opt.files import machine_memory
 from regrasp_opt.grasps import sample_grasps
 from regrasp_opt.objects import load_object
 from regrasp_opt.workcell import load_workcell
@@ -119,6 +121,22 @@ def test_a_workspace_out_of_reach_ends_in_an_error(task, tmp_path):
     with pytest.raises(GraspError, match="feasible anywhere in the workspace") as info:
         label_pairs(replace(task, workcell=cell), 50, folder=tmp_path, jobs=1)
     assert "\n" not in str(info.value)
+
+
+def test_more_pairs_than_memory_are_refused_before_and_while_they_are_drawn(task, tmp_path, monkeypatch):
+    with pytest.raises(OptionError, match=r"1000000000000 samples need about .* ask for fewer samples"):
+        label_pairs(task, 10**12, folder=tmp_path, jobs=1)
+    assert not list(tmp_path.iterdir())
+    monkeypatch.setattr(dataset, "machine_memory", lambda: 20_000.0 * dataset.BYTES_PER_PAIR)
+    assert len(label_pairs(task, 50, folder=tmp_path, jobs=1)) == 5000
+    with pytest.raises(OptionError, match="samples need about"):  # about one pair in three is feasible
+        label_pairs(task, 19_000, folder=tmp_path, jobs=1)
+
+
+def test_the_memory_of_the_machine_is_known_or_without_end(monkeypatch):
+    assert 1e8 < machine_memory() < 1e14
+    monkeypatch.delattr(os, "sysconf")
+    assert machine_memory() == float("inf")
 
 
 def test_the_fingerprint_follows_everything_that_labels_depend_on(task):

@@ -2,13 +2,16 @@
 
 from dataclasses import replace
 
+import coal
 import numpy as np
 import pytest
+from conftest import random_transforms
 
 from regrasp_opt.connectivity import TableRule
-from regrasp_opt.conventions import planar_transform
+from regrasp_opt.conventions import planar_transform, translation
 from regrasp_opt.feasibility import FeasibilityChecker
-from regrasp_opt.feasibility.tabletop import points_in_table, wrist_bodies
+from regrasp_opt.feasibility.geometry import mesh_geometry, shape_geometry
+from regrasp_opt.feasibility.tabletop import _extreme, points_in_table, wrist_bodies
 from regrasp_opt.grasps import sample_grasps
 from regrasp_opt.objects import load_object
 from regrasp_opt.workcell import load_workcell
@@ -68,3 +71,65 @@ def test_bodies_round_about_the_last_joint_belong_to_the_wrist():
                     np.testing.assert_allclose((flange @ T)[:3, 3], world[:3, 3], atol=1e-9)
                     np.testing.assert_allclose(abs((flange @ T)[:3, 2] @ world[:3, 2]), 1.0, atol=1e-9)
     assert not np.allclose(before, robot.forward(q))
+
+
+def heights(geometry, T):
+    """Return the lowest and the highest point of a body at `T` (4, 4) [m], in closed form."""
+    up = T[2, :3]
+    if isinstance(geometry, coal.Box):
+        reach = np.abs(up) @ np.array(geometry.halfSide)
+    elif isinstance(geometry, coal.Sphere):
+        reach = geometry.radius
+    else:
+        reach = geometry.halfLength * abs(up[2]) + geometry.radius * np.hypot(up[0], up[1])
+    return T[2, 3] - reach, T[2, 3] + reach
+
+
+@pytest.mark.parametrize("name", ["nova2-w", "nova2-s1"])
+@pytest.mark.parametrize("thickness", [0.05, 0.004])
+def test_grasps_with_a_body_as_low_as_the_table_have_a_point_and_no_others(name, thickness):
+    cell = load_workcell(name)
+    cell = replace(cell, table=Table(0.03, cell.table.center, cell.table.size, thickness))
+    model = load_object("mug")
+    grasps, effector = sample_grasps(model, cell.end_effector, 12, seed=3), cell.end_effector
+    raised = [translation(0.1, 0.0, z) @ p.pose for p in model.placements for z in (-0.1, 0.0, 0.06)]
+    points = points_in_table(cell, grasps, np.array(raised))
+    low, high = 0.03 - thickness, 0.03
+    for s, g in np.ndindex(len(raised), len(grasps)):
+        T = raised[s] @ grasps.T_object_tcp[g] @ effector.T_tcp_flange
+        shapes = [*effector.body, *effector.finger_boxes(float(grasps.width[g]), effector.pre_opening)]
+        bodies = [(shape_geometry(shape), T @ shape.pose, cell.clearance.gripper) for shape in shapes]
+        bodies += [(geometry, T @ pose, cell.clearance.arm) for geometry, pose in wrist_bodies(cell.robot)]
+        within = []
+        for geometry, pose, clearance in bodies:
+            bottom, top = heights(geometry, pose)
+            within.append(bottom < high + clearance and top >= low - 1e-12)
+        assert np.isfinite(points[s, g]).all() == any(within)
+    assert 0.1 < np.isfinite(points).mean() < 0.95
+
+
+@pytest.mark.parametrize(
+    "geometry",
+    [coal.Box(0.1, 0.2, 0.3), coal.Sphere(0.1), coal.Capsule(0.05, 0.2), coal.Cylinder(0.05, 0.2), "mesh"],
+    ids=["box", "sphere", "capsule", "cylinder", "mesh"],
+)
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_extreme_point_of_a_body_is_that_of_its_surface(geometry, sign):
+    if geometry == "mesh":
+        mug = load_object("mug")
+        geometry = mesh_geometry(mug.vertices, mug.faces)
+    poses = random_transforms(np.random.default_rng(0), 20)
+    points = _extreme(geometry, poses, sign)
+    for T, point in zip(poses, points, strict=True):
+        local = T[:3, :3].T @ (point - T[:3, 3])
+        surface = coal.CollisionObject(geometry)
+        result = coal.DistanceResult()
+        coal.distance(surface, coal.CollisionObject(coal.Sphere(1e-9), coal.Transform3s(np.eye(3), local)),
+                      coal.DistanceRequest(), result)  # fmt: skip
+        assert abs(result.min_distance) < 1e-5
+        direction = sign * T[2, :3]
+        far = 10.0 * direction
+        result = coal.DistanceResult()
+        wall = coal.Halfspace(-direction, -float(direction @ far))
+        coal.distance(coal.CollisionObject(wall), surface, coal.DistanceRequest(), result)
+        assert 10.0 - result.min_distance == pytest.approx(direction @ local, abs=1e-5)

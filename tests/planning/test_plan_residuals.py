@@ -87,6 +87,10 @@ def test_a_moved_pose_touches_the_transitions_on_both_sides(plan, i):
     assert any("stable placement" in text for text in problems) == (i == 1)
 
 
+def test_the_cost_is_a_record_that_no_proof_looks_at(plan):
+    assert replace(plan, cost=plan.cost + 1.0).residuals().problems == plan.residuals().problems == ()
+
+
 def test_a_pose_that_is_no_placement_or_outside(plan):
     off, unknown = plan.xi.copy(), plan.placements.copy()
     off[0, 0] += 0.01

@@ -78,6 +78,21 @@ def test_a_stretched_elbow_is_found(nova2, bend):
     assert set(solutions.pose_index) == set(range(100))
 
 
+@pytest.mark.parametrize("twist", [0.0, 1e-9, 1e-4, 1e-2])
+@pytest.mark.parametrize("at", [0.0, np.pi])
+def test_near_the_wrists_singularity_branches_are_sound_and_from_a_little_off_none_is_missed(nova2, twist, at):
+    """At the singularity itself infinitely many configurations reach a pose; for some poses none is found there."""
+    q = configurations(nova2, 100, seed=11)
+    q[:, 4] = at + twist
+    T = nova2.forward(q)
+    solutions = nova2.solve_ik(T)
+    check_sound(nova2, T, solutions)
+    if twist >= 1e-4:
+        assert share_found(q, solutions) == 1.0
+    else:
+        assert len(set(solutions.pose_index)) > 60
+
+
 def test_float32_poses_have_solutions(nova2):
     T = nova2.forward(configurations(nova2, 100)).astype(np.float32)
     assert set(nova2.solve_ik(T).pose_index) == set(range(100))
@@ -158,3 +173,40 @@ def test_principal_is_the_nearest_value_to_zero_within_the_limits(q, lower, widt
         assert fits[0] == (len(inside) > 0)
     if fits[0] and not near_a_limit:
         assert abs(value[0, 0]) == pytest.approx(np.abs(inside).min(), abs=1e-6)
+
+
+def descend(robot, T, q, steps=60):
+    """Return `q` (B, 6) after damped Newton steps on the pose error, its derivative taken by differences."""
+
+    def error(q):
+        at = robot.forward(q)
+        R = np.swapaxes(at[:, :3, :3], -1, -2) @ T[:3, :3]
+        turn = np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1) / 2
+        away = np.trace(R, axis1=1, axis2=2)[:, None] < 0  # beyond a right angle the sine falls again
+        turn = np.where(away, turn / np.maximum(np.linalg.norm(turn, axis=1, keepdims=True), 1e-9), turn)
+        return np.concatenate([at[:, :3, 3] - T[:3, 3], -(at[:, :3, :3] @ turn[..., None])[..., 0]], axis=1)
+
+    damping, now = np.full(len(q), 1e-2), error(q)
+    for _ in range(steps):
+        J = np.stack([(error(q + 1e-6 * axis) - now) / 1e-6 for axis in np.eye(6)], axis=2)
+        A = np.swapaxes(J, 1, 2) @ J + damping[:, None, None] * np.eye(6)
+        step = np.linalg.solve(A, np.swapaxes(J, 1, 2) @ now[..., None])[..., 0]
+        trial = q - np.clip(step, -0.5, 0.5)
+        after = error(trial)
+        better = np.linalg.norm(after, axis=1) < np.linalg.norm(now, axis=1)
+        q, now = np.where(better[:, None], trial, q), np.where(better[:, None], after, now)
+        damping = np.where(better, np.maximum(damping / 4, 1e-12), damping * 4)
+    return q[np.linalg.norm(now, axis=1) < 1e-7]
+
+
+@pytest.mark.parametrize("seed", [8, 9])
+def test_a_dense_search_finds_no_other_branch(nova2, seed):
+    """From each of 729 points of a grid over all joints, by a method that shares nothing with either solver."""
+    T = nova2.forward(configurations(nova2, 1, seed))[0]
+    grid = np.stack(np.meshgrid(*6 * [np.array([-2.0, 0.1, 2.2])], indexing="ij"), axis=-1).reshape(-1, 6)
+    found = descend(nova2, T, grid)
+    found = found[principal(found, nova2.lower, nova2.upper, np.ones(6, bool))[1]]
+    branches = nova2.solve_ik(T).q
+    assert len(found) > 100
+    assert all(same(branches, q).any() for q in found)
+    assert all(same(found, q).any() for q in branches)

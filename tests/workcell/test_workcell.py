@@ -200,6 +200,7 @@ def test_unknown_workcells_list_the_known_ones():
             "key 'workspace.x': should be [low, high] with low < high",
         ),
         ("x = [-0.45, 0.45]", "x = [-0.45, 0.9]", "key 'workspace.x': -0.45 to 0.9 leaves the table"),
+        ("x = [-0.45, 0.45]", "x = [-450, 450]", "key 'workspace.x': -450 to 450 is wider than 10 m"),
         ("rpy = [0.0, 0.0, 0.0]", "rpy = [0.0, 0.0]", "key 'robot.rpy.2' is missing"),
         ('model = "nova2"', 'model = "nova3"', "key 'robot.model': unknown robot 'nova3'; known: nova2"),
         ('model = "w"', 'model = "r84"', "key 'end_effector.model': unknown end-effector 'r84'; known: r85"),

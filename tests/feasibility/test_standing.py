@@ -1,0 +1,97 @@
+"""Whether an object stands: heights to the tenth of a millimetre, edges of the table, and tipping over."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from regrasp_opt.feasibility.geometry import mesh_geometry, shape_geometry, static_bodies
+from regrasp_opt.feasibility.standing import resting_problem, standing_problem
+from regrasp_opt.shapes import Box, Cylinder, Mesh
+from regrasp_opt.workcell import load_workcell
+from regrasp_opt.workcell.model import Table
+
+HEIGHT = 0.2
+CORNERS = np.array(np.meshgrid([-0.03, 0.03], [-0.02, 0.02], [0.0, 0.1])).reshape(3, -1).T
+MIDDLE = np.array([0.0, 0.0, 0.05])
+
+
+@pytest.fixture(scope="module")
+def cell():
+    table = Table(HEIGHT, np.array([0.1, 0.4]), np.array([0.6, 0.4]), 0.05)
+    return replace(load_workcell("nova2-w"), table=table)
+
+
+def at(x=0.1, y=0.4, gap=0.0):
+    return np.array([x, y, HEIGHT + gap])
+
+
+@pytest.mark.parametrize(
+    ("gap", "standing", "resting"),
+    [
+        (0.0, None, None),
+        (0.0009, None, None),
+        (-0.0009, None, None),
+        (-0.0011, "sinks 1.1 mm into the table", "sinks 1.1 mm into the table"),
+        (-0.05, "sinks 50.0 mm into the table", "sinks 50.0 mm into the table"),
+        (0.0011, None, "floats 1.1 mm above the table"),
+        (0.3, None, "floats 300.0 mm above the table"),
+    ],
+)
+def test_heights(cell, gap, standing, resting):
+    offset = at(gap=gap)
+    assert standing_problem(CORNERS + offset, cell) == standing
+    assert resting_problem(CORNERS + offset, MIDDLE + offset, cell) == resting
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "over"),
+    [(-0.169, 0.4, 0), (-0.171, 0.4, 1), (0.369, 0.4, 0), (0.371, 0.4, 1), (0.1, 0.221, 0), (0.1, 0.219, 1),
+     (0.1, 0.579, 0), (0.1, 0.581, 1), (5.0, 5.0, 1)],
+)  # fmt: skip
+def test_the_edges_of_the_table(cell, x, y, over):
+    said = "stands over the edge of the table" if over else None
+    assert standing_problem(CORNERS + at(x, y), cell) == said
+    assert resting_problem(CORNERS + at(x, y), MIDDLE + at(x, y), cell) == said
+    assert standing_problem(CORNERS + at(x, y, gap=0.05), cell) is None  # what hovers stands on no edge
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "tips"), [(0.0, 0.0, 0), (0.029, 0.019, 0), (0.031, 0.0, 1), (-0.031, 0.0, 1), (0.0, 0.021, 1)]
+)
+def test_a_centre_of_mass_outside_the_support_tips_over(cell, x, y, tips):
+    center = np.array([x, y, 0.05]) + at()
+    assert resting_problem(CORNERS + at(), center, cell) == ("would tip over" if tips else None)
+
+
+@pytest.mark.parametrize("lowest", [[[0, 0]], [[-0.03, 0], [0.03, 0]], [[-0.03, 0], [0, 0], [0.03, 0]]])
+def test_nothing_rests_on_a_point_or_an_edge(cell, lowest):
+    touching = np.column_stack([lowest, np.zeros(len(lowest))])
+    vertices = np.vstack([touching, CORNERS + np.array([0.0, 0.0, 0.05])])
+    assert resting_problem(vertices + at(), MIDDLE + at(), cell) == "would tip over"
+
+
+def test_shapes_have_their_size_as_collision_bodies():
+    pose = np.eye(4)
+    np.testing.assert_allclose(shape_geometry(Box("a", np.array([0.1, 0.2, 0.3]), pose)).halfSide, [0.05, 0.1, 0.15])
+    cylinder = shape_geometry(Cylinder("a", 0.03, 0.4, pose))
+    assert (cylinder.radius, cylinder.halfLength) == (0.03, 0.2)
+    faces = np.array([[0, 1, 2], [1, 3, 2]])
+    for mesh in (mesh_geometry(CORNERS, faces), shape_geometry(Mesh("a", CORNERS, faces, pose))):
+        assert (mesh.num_vertices, mesh.num_tris) == (8, 2)
+        np.testing.assert_allclose(mesh.vertices(), CORNERS)
+
+
+def test_fixed_bodies_stand_where_the_workcell_says(cell):
+    pose = np.eye(4)
+    pose[:3, 3] = 0.3, 0.5, 0.1
+    moved = replace(cell, obstacles=(Box("crate", np.array([0.1, 0.1, 0.2]), pose),))
+    object.__setattr__(moved, "T_world_base", np.array([[0, -1, 0, 0.2], [1, 0, 0, 0], [0, 0, 1, 0.1], [0, 0, 0, 1.0]]))
+    bodies = static_bodies(moved)
+    base = [item for item in cell.robot.collision.geometryObjects if item.parentJoint == 0]
+    assert [name for _, name in bodies] == ["the obstacle 'crate'"] + ["the robot's base"] * len(base)
+    np.testing.assert_allclose(bodies[0][0].getTranslation(), [0.3, 0.5, 0.1])
+    for (body, _), item in zip(bodies[1:], base, strict=True):
+        T = moved.T_world_base @ item.placement.homogeneous
+        np.testing.assert_allclose(body.getTranslation(), T[:3, 3], atol=1e-12)
+        np.testing.assert_allclose(body.getRotation(), T[:3, :3], atol=1e-12)
