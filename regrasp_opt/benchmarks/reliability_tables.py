@@ -46,8 +46,12 @@ def _summary(rows: Sequence[Row]) -> Table:
     least = min((row["inputs"] for row in _by_reader(files)), default=0)
     lines: list[tuple[Cell, ...]] = [
         ("planning problems tried", len(plans), "2000"),
-        ("false positives: plans that a proof refutes", sum(bool(row["wrong"]) for row in plans), "0"),
-        ("false negatives: solvable on the exact grid, but not solved", len(_lost(own)), ""),
+        (
+            "false positives: plans that a proof refutes",
+            sum(bool(row["wrong"]) for row in plans) if plans else None,
+            "0",
+        ),
+        ("false negatives: solvable on the exact grid, but not solved", len(_lost(own)) if own else None, ""),
         (
             "false negatives, share of the solvable [%]",
             round(100 * len(_lost(own)) / solvable, 2) if solvable else None,
@@ -55,9 +59,9 @@ def _summary(rows: Sequence[Row]) -> Table:
         ),
         ("damaged files read", _total(files, "inputs"), ""),
         ("of these for each reader, at least", least, "10000"),
-        ("tracebacks, crashes, hangs, files harmed", broken, "0"),
+        ("tracebacks, crashes, hangs, files harmed", broken if files else None, "0"),
         ("kills", _total(killed, "kills"), "50"),
-        ("half files, runs that did not recover, other results", kill_faults, "0"),
+        ("half files, runs that did not recover, other results", kill_faults if killed else None, "0"),
         ("SIGINT and SIGTERM sent", _total(interrupted, "sent"), ""),
         ("longest time to end [s]", max((row["slowest"] for row in interrupted), default=None), "2"),
         ("branch coverage [%]", branch_coverage(Path("coverage.json")), "90"),
