@@ -76,8 +76,8 @@ class Handling:
     def segments(self, iterations: int, tilted: bool = False) -> list[Segment] | None:
         """Return all segments of the transition, or None if one of them is not found.
 
-        With no `iterations` of the sampling planner the motions in joint space must be straight. With `tilted` the
-        straight lines of the tool may be tilted.
+        With no `iterations` of the sampling planner the motions in joint space must be straight. With `tilted`
+        the lines of the tool that cannot be straight may be tilted.
         """
         lines = self._straight_lines(tilted)
         if lines is None:
@@ -143,12 +143,16 @@ class Handling:
         ):
             if phase in self._lines:
                 continue
-            found = None if (phase, tilted) in self._refused else make(q, T, tilted)
-            if found is None:
-                self._refused.add((phase, tilted))
+            for turned in (False, True)[: 1 + tilted]:
+                if phase not in self._lines and (phase, turned) not in self._refused:
+                    found = make(q, T, turned)
+                    if found is None:
+                        self._refused.add((phase, turned))
+                    else:
+                        self._lines[phase] = found
+            if phase not in self._lines:
                 self.blocked = phase
                 return None
-            self._lines[phase] = found
         lines = self._lines
         return lines[Phase.APPROACH].reversed(), lines[Phase.LIFT], lines[Phase.LOWER].reversed(), lines[Phase.RETREAT]
 

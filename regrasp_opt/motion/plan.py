@@ -17,13 +17,13 @@ class Phase(Enum):
     """What a segment is for; the value says it."""
 
     REACH = "the arm moves, the jaw empty, to where the approach begins"
-    APPROACH = "the open jaw moves along the tool's axis to the grasp"
+    APPROACH = "the open jaw moves along a straight line to the grasp"
     GRASP = "the jaw closes, the arm rests"
     LIFT = "the object is lifted along a straight line"
     TRANSFER = "the object is carried to above its next pose"
     LOWER = "the object is lowered along a straight line"
     RELEASE = "the jaw opens, the arm rests"
-    RETREAT = "the open jaw moves back along the tool's axis"
+    RETREAT = "the open jaw moves back along a straight line"
     RETURN = "the arm returns home"
 
     @property

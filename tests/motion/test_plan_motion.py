@@ -189,6 +189,29 @@ def test_lines_are_tilted_where_no_grasp_can_be_lifted_straight(bottle_plan, mon
             assert 0.2 < way[2] / np.linalg.norm(way) < 0.99
 
 
+def test_only_lines_that_cannot_be_straight_are_tilted(bottle_plan, monkeypatch):
+    """Vertical lines are refused where the first transition picks, and nowhere else."""
+    original = connections.line
+    forward = bottle_plan.problem.workcell.robot.forward
+    picks = np.array([forward(q)[:3, 3] for q in bottle_plan.transitions[0].q_pick])
+
+    def no_lift(robot, q, direction, length):
+        at_pick = np.linalg.norm(picks - robot.forward(q)[:3, 3], axis=1).min() < 1e-4
+        return None if at_pick and direction[2] > 0.99 else original(robot, q, direction, length)
+
+    monkeypatch.setattr(connections, "line", no_lift)
+    motion = plan_motion(bottle_plan, MotionOptions(home=None, candidates=6, optimise=False))
+    assert motion.solved, motion.reason
+
+    def rise(phase):
+        (q,) = (s.trajectory.positions for s in motion.segments if s.phase is phase and s.transition == 0)
+        way = forward(q[-1])[:3, 3] - forward(q[0])[:3, 3]
+        return abs(way[2]) / np.linalg.norm(way)
+
+    assert rise(Phase.LIFT) < 0.99
+    assert rise(Phase.LOWER) > 0.9999
+
+
 def test_every_lift_rises(bottle_plan, monkeypatch):
     asked = []
 
