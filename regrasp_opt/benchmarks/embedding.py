@@ -26,6 +26,7 @@ from regrasp_opt.connectivity import BLOCKED, SequenceObjective, exact_energy
 from regrasp_opt.connectivity.casadi_chain import cost_of_scores, pair_score
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.energy.casadi_energy import CasadiEnergy
+from regrasp_opt.errors import OptionError
 from regrasp_opt.files import content_hash
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.planning.tasks import Task, random_task
@@ -84,11 +85,19 @@ def run_embedding(session: Session) -> Report:
 
 
 def embedding_rows(problem: RegraspProblem, task: Task, num_regrasps: int) -> list[Row]:
-    """Return one row with the median time [ms], iterations and final cost of each way."""
+    """Return one row with the median time [ms], iterations and final cost of each way.
+
+    Raises
+    ------
+    OptionError
+        If no lattice chain has a chance to hold.
+    """
     ends = [exact_energy(problem.feasible_grasps(T)) for T in (task.start, task.goal)]
     objective = problem.objective(ends[0], ends[1])
     with one_blas_thread():
         starts = lattice_starts(problem.lattice, objective, num_regrasps, 1, np.random.default_rng(0))
+        if not len(starts):
+            raise OptionError(f"no chain of {num_regrasps} lattice pose(s) has a chance; take another pair")
         ways = _ways(problem, objective, starts)
         outcomes = {name: way() for name, way in ways.items()}
         times: dict[str, list[float]] = {name: [] for name in ways}
@@ -172,7 +181,7 @@ def _plain_cost(problem: RegraspProblem, objective: SequenceObjective, starts: C
 def _table(rows: list[Row]) -> Table:
     lines: list[tuple[Cell, ...]] = []
     for count in REGRASPS:
-        here = [row for row in rows if row.get("N") == count]
+        here = [row for row in rows if row.get("N") == count and "nlp_ms" in row]
         if here:
             times = [round(median(row[f"{way}_ms"] for row in here), 1) for way in WAYS]
             ratios = [
