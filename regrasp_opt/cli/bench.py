@@ -90,7 +90,8 @@ def run_bench(
     Raises
     ------
     RegraspError
-        For an unknown experiment, a folder without meshes, or a scheduler that does not answer.
+        For an unknown experiment, a folder without meshes, a scheduler that does not answer, or plots without
+        matplotlib.
     """
     if name == SPEED:
         meshes = [] if objects is None else mesh_files(objects)
@@ -99,6 +100,10 @@ def run_bench(
         return 0
     if name not in EXPERIMENTS:
         raise UnknownNameError("experiment", name, (*EXPERIMENTS, SPEED))
+    if plots:
+        from regrasp_opt.viz.curves import pyplot
+
+        pyplot()  # refused now, not after hours of measurements
     session = Session(out, quick=quick, objects=objects, jobs=jobs, seed=seed)
     with dask_cluster(dask):
         report = EXPERIMENTS[name](session)

@@ -44,7 +44,7 @@ def _of_plan(plan: RegraspPlan, trace: CandidateTrace | None) -> Iterator[tuple[
 
 
 def write_bench_plots(report: Report, folder: Path) -> list[Path]:
-    """Write the curves of an experiment; nothing for one that has none."""
+    """Write the curves of an experiment; nothing for one that has none, or that solved no pair."""
     limit = report.settings.get("time limit [s]")
     measured = [row for row in report.rows if "solved" in row]
     if report.name == SWEPT:
@@ -55,6 +55,8 @@ def write_bench_plots(report: Report, folder: Path) -> list[Path]:
         for row in measured:
             if report.name == COMPARED or row["planner"] == "ours":
                 times.setdefault(row[key], []).append(row["first_proof"] if row["solved"] else None)
+        if not any(row["solved"] for row in measured):
+            return []
         return _write([("anytime", plot_anytime(times, f"{report.title}: pairs proved over time", limit))], folder)
     return []
 

@@ -1,6 +1,7 @@
 """Every experiment, at a size of seconds, on the bottle and on a folder with a broken mesh."""
 
 import json
+import sys
 from importlib.util import find_spec
 
 import numpy as np
@@ -17,14 +18,18 @@ from regrasp_opt.benchmarks import (
     multi_step,
     one_step,
     refiners,
+    runner,
 )
 from regrasp_opt.benchmarks import session as session_module
 from regrasp_opt.benchmarks.oracle import Resolution
 from regrasp_opt.benchmarks.paper import CROSS_EFFECTOR, END_EFFECTORS, MULTI_STEP, ONE_STEP
-from regrasp_opt.benchmarks.report import write_report
+from regrasp_opt.benchmarks.report import Report, write_report
+from regrasp_opt.benchmarks.runner import Item
 from regrasp_opt.benchmarks.session import Session
 from regrasp_opt.cli.app import run
 from regrasp_opt.cli.bench import EXPERIMENTS
+from regrasp_opt.cli.plots import write_bench_plots
+from regrasp_opt.planning.tasks import random_task
 
 COARSE = Resolution(0.15, 4)
 
@@ -144,6 +149,30 @@ def test_embedding(session, monkeypatch):
         assert row["opti_cost"] == pytest.approx(row["plain_cost"], abs=1e-6)
         assert row["opti_cost"] == pytest.approx(row["nlp_cost"], abs=1e-6)
         assert all(row[f"{way}_ms"] > 0 for way in embedding.WAYS)
+
+
+def test_a_pair_without_a_chance_is_a_row(bottle_problem, monkeypatch):
+    task = random_task(bottle_problem, np.random.default_rng(0), needs_regrasp=True)
+    monkeypatch.setattr("regrasp_opt.solvers.lattice.LEAST_CHANCE", 1.0)
+    item = Item("bottle/0/1", "", embedding.embedding_rows, (bottle_problem, task, 1), {"N": 1})
+    _, rows = runner._compute(0, item)
+    assert "has a chance" in rows[0]["error"]
+    assert embedding._table(rows).rows == ()
+
+
+def test_plots_are_refused_before_anything_is_measured(tmp_path, monkeypatch):
+    measured = []
+    monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
+    monkeypatch.setitem(EXPERIMENTS, "cost-sweep", measured.append)
+    assert run(["bench", "cost-sweep", "--quick", "--out", str(tmp_path), "--plots"]) == 2
+    assert measured == []
+
+
+def test_nothing_is_plotted_where_no_pair_was_solved(tmp_path):
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed")
+    rows = [{"object": "bottle", "planner": "ours", "solved": False, "first_proof": None}]
+    report = Report("multi-step", "Multi-step search", "", (), rows, instances={}, revisions=(), settings={})
+    assert write_bench_plots(report, tmp_path) == []
 
 
 def test_a_broken_mesh_is_a_row_and_the_rest_runs_on(session, tmp_path, monkeypatch):
