@@ -117,6 +117,9 @@ def test_the_conclusion_names_the_fastest_of_the_most_successful():
         first, second = refiners._conclusion(given).split("\n\n")
         assert first.startswith(f"'{winner}' wins") and ("the ranking" in first) == (winner == "lattice")
         assert "1500 ms over the lattice" in second and "takes 15 evaluations" in second
+        assert "adds no success" in second
+    fewer = [r | {"solved": r["pair"] == "a"} if r["planner"] == "lattice" else r for r in rows]
+    assert "proves 50.0 % more pairs than the lattice alone" in refiners._conclusion(fewer)
     assert refiners._conclusion([r for r in rows if r["planner"] != "lattice"]) == ""
 
 
