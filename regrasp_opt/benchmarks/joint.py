@@ -27,9 +27,9 @@ TEXT = (
     " program adds by moving poses and configurations. Free grasps: of ten grasps drawn at random the planner finds no"
     " plan while the whole set has one; the grasps then move on the object."
 )
-PAIRS = {True: 2, False: 10}
+PAIRS = {True: 2, False: 25}
 """Pairs an object for the joint problem, in quick and in full runs."""
-THINNED = {True: 4, False: 12}
+THINNED = {True: 4, False: 40}
 """Pairs an object whose grasp set is thinned; those that can still be solved do not count."""
 KEPT = 10
 """Grasps of a thinned set."""
