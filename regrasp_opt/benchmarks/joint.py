@@ -143,7 +143,7 @@ def _measure_table(rows: Sequence[Row], names: Sequence[str], measure: Measure) 
             _gain(values[1], values[2], sign),
             _gain(values[0], values[2], sign),
         ]
-        medians = [float(np.median(v)) if len(v) else None for v in values]
+        medians = [round(float(np.median(v)), 2) if len(v) else None for v in values]
         proved = percent([row["proved"] for row in here])
         lines.append((name, len(here), *medians, *gains, proved, mean([row["seconds"] for row in here])))
     columns = (f"before [{unit}]", f"discrete [{unit}]", f"joint [{unit}]", "by the choice [%]", "by the program [%]")
@@ -158,7 +158,7 @@ def _measure_table(rows: Sequence[Row], names: Sequence[str], measure: Measure) 
 
 def _gain(before: np.ndarray, after: np.ndarray, sign: float) -> float | None:
     good = before > 0
-    return float(np.median(100 * sign * (after[good] / before[good] - 1))) if good.any() else None
+    return round(float(np.median(100 * sign * (after[good] / before[good] - 1))), 1) if good.any() else None
 
 
 def _thinned_table(rows: Sequence[Row], names: Sequence[str]) -> Table:
