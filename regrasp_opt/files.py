@@ -81,9 +81,10 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
 def machine_memory() -> float:
     """Return the physical memory of this machine [bytes]; infinity where the system does not say."""
     try:
-        return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+        pages, size = os.sysconf("SC_PHYS_PAGES"), os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, OSError, ValueError):
         return float("inf")
+    return float(pages * size) if min(pages, size) > 0 else float("inf")
 
 
 def content_hash(*parts: Any) -> str:

@@ -36,9 +36,9 @@ MIDDLE = 1500
 RANKED = 5_000
 """Chains among which the start points are chosen."""
 LEAST_CHANCE = 1e-5
-"""Probability that all pairs share a grasp, by the energies, below which a chain is not worth refining or proving.
+"""Probability that a pair shares a grasp, by the energies, below which its chain is not worth refining or proving.
 
-Of lattice chains that hold, the least had 1e-3; where a number of regrasps cannot work, all of them are about 1e-9.
+Of lattice chains that hold, the least had 1e-3; where a number of regrasps cannot work, all have a pair at about 1e-9.
 """
 _WORKERS = 2
 
@@ -143,7 +143,7 @@ def lattice_starts(
 ) -> Candidates:
     """Return up to `count` chains of `num_regrasps` lattice poses, the most promising and different ones first.
 
-    Those with less than the `LEAST_CHANCE` are left out, so there may be none.
+    Those with a pair below the `LEAST_CHANCE` are left out, so there may be none.
     """
     alpha = objective.options.alpha
     P = lattice.likelihoods(alpha)
@@ -158,7 +158,7 @@ def lattice_starts(
     chosen = ranked[_different(lattice.cells[ranked], count)]
     energies = objective.chain(lattice.energies[chosen].astype(np.float64))
     shared = np.exp(-(energies[:, :-1] + energies[:, 1:])).sum(axis=2)
-    worth = shared_cost(shared).sum(axis=1) < -np.log(LEAST_CHANCE)
+    worth = (shared_cost(shared) < -np.log(LEAST_CHANCE)).all(axis=1)
     chosen = chosen[worth]
     cost = sequence_cost(energies[worth], objective.options)
     return Candidates(lattice.placements[chosen], lattice.xi[chosen], cost)

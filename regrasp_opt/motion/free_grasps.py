@@ -70,10 +70,9 @@ class FreeGraspOptions:
     searches: tuple[int, ...] = (4, 12)
 
     def __post_init__(self) -> None:
-        if min(self.rounds, self.chains, self.steps) < 1:
-            raise OptionError(
-                f"rounds is {self.rounds}, chains is {self.chains}, steps is {self.steps}; give at least 1 of each"
-            )
+        for name in ("rounds", "chains", "steps", "explored"):
+            if getattr(self, name) < 1:
+                raise OptionError(f"{name} is {getattr(self, name)}; give at least 1")
 
 
 def solve_with_free_grasps(

@@ -1,7 +1,7 @@
 """`solve_sequence`: the fewest intermediate poses such that all neighbours share a grasp (Alg. 1, with hard checks).
 
 For N = 0, 1, ... the start points of a recipe are refined, ranked by ``J_seq`` and proved in that order; the first
-proof ends the search. A refiner is local, so with lattice starts the remaining lattice chains are proved as they are
+proof ends the search. A refiner is local, so with lattice starts the best lattice chains are then proved as they are
 before N grows.
 """
 

@@ -155,7 +155,7 @@ def test_lattice_starts_leave_out_what_has_no_chance(random_objective, monkeypat
 
     P = np.exp(-lattice.energies.astype(float))
     masses = [P @ np.exp(-end) for end in (random_objective.start_energy, random_objective.goal_energy)]
-    probability = np.prod([1 - np.exp(-m) for m in masses], axis=0)
+    probability = np.min([1 - np.exp(-m) for m in masses], axis=0)
     limit = float(np.median(probability))
     monkeypatch.setattr("regrasp_opt.solvers.lattice.LEAST_CHANCE", limit)
     assert abs(len(starts(random_objective)) - (probability > limit).sum()) <= 1  # single against double precision
