@@ -152,7 +152,7 @@ def _opti(cost: Callable[[Any], Any], xi: FloatArray, bounds: FloatArray) -> Cal
 
     def solve() -> tuple[int, float]:
         opti.set_initial(variable, xi.T)
-        found = opti.solve()
+        found = opti.solve_limited()  # all ways stop at the same number of iterations
         return int(found.stats()["iter_count"]), float(found.value(objective))
 
     return solve
