@@ -28,14 +28,16 @@ class RecordingRefiner:
     ----------
     refiner : Refiner
         If it has a method ``recording``, what that returns is used: the same refiner, keeping `Refinement.paths`.
+    paths : bool
+        Whether to ask for that; otherwise the refiner is used as it is.
 
     Attributes
     ----------
     batches : list of RecordedBatch
     """
 
-    def __init__(self, refiner: Refiner) -> None:
-        recording = getattr(refiner, "recording", None)
+    def __init__(self, refiner: Refiner, *, paths: bool = True) -> None:
+        recording = getattr(refiner, "recording", None) if paths else None
         self._refiner: Refiner = refiner if recording is None else recording()
         self.batches: list[RecordedBatch] = []
 

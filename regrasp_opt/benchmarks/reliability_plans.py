@@ -10,7 +10,7 @@ plan is asked of the exact grid oracle.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -27,8 +27,7 @@ from regrasp_opt.files import atomic_path
 from regrasp_opt.planning import Recipe, RegraspPlan, RegraspProblem, Transition, solve_sequence
 from regrasp_opt.planning.verification import PoseKnowledge, prove_sequence
 from regrasp_opt.shapes import Box
-from regrasp_opt.solvers import Candidates, NlpRefiner, Refinement
-from regrasp_opt.solvers.base import Refiner
+from regrasp_opt.solvers import Candidates, NlpRefiner, RecordingRefiner
 from regrasp_opt.workcell import Workcell, load_workcell
 
 MAX_REGRASPS = 3
@@ -100,23 +99,6 @@ def choose_pairs(pool: PosePool, count: int, rng: np.random.Generator, prefix: s
     return chosen
 
 
-@dataclass(frozen=True)
-class _Recorder:
-    """A refiner that keeps every candidate that another one returned."""
-
-    inner: Refiner
-    kept: list[Candidates] = field(default_factory=list, compare=False)
-
-    @property
-    def name(self) -> str:
-        return self.inner.name
-
-    def refine(self, objective: object, starts: Candidates, rng: np.random.Generator) -> Refinement:
-        refinement = self.inner.refine(objective, starts, rng)  # type: ignore[arg-type]
-        self.kept.append(refinement.candidates)
-        return refinement
-
-
 def trial_rows(problem: RegraspProblem, instances: list[Instance], seed: int) -> list[Row]:
     """Return one row for each of `instances`."""
     problem = resident(problem)
@@ -125,7 +107,7 @@ def trial_rows(problem: RegraspProblem, instances: list[Instance], seed: int) ->
 
 
 def _trial(problem: RegraspProblem, recheck: Recheck, instance: Instance, seed: int) -> Row:
-    recorder = _Recorder(NlpRefiner())
+    recorder = RecordingRefiner(NlpRefiner(), paths=False)
     plan = solve_sequence(
         problem,
         instance.start,
@@ -135,7 +117,7 @@ def _trial(problem: RegraspProblem, recheck: Recheck, instance: Instance, seed: 
         seed=seed,
         time_limit=TIME_LIMIT,
     )
-    low, failed = _low_energy(problem, instance, recorder.kept)
+    low, failed = _low_energy(problem, instance, [batch.refinement.candidates for batch in recorder.batches])
     wrong = wrong_claims(plan, recheck, np.random.default_rng(seed)) if plan.solved else []
     return {
         "pair": instance.name,

@@ -147,7 +147,7 @@ class _RunProgram:
         with solver_lock:
             x = np.array(self._solver(x0=x0, p=p, lbx=low, ubx=high, lbg=-1, ubg=1)["x"]).ravel()
             shares = np.array(self._limits(x, p)).ravel()
-        if not np.isfinite(x).all() or np.abs(shares).max() > 1 + FEASIBLE or x[-1] <= 0:
+        if not np.isfinite(x).all() or np.abs(shares).max() > 1 + FEASIBLE:
             return None
         return self._parts(x, lines, q)
 

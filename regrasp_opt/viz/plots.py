@@ -52,11 +52,7 @@ def plot_cost_landscape(plan: RegraspPlan, number: int = 1, turns: int = 4) -> A
         if angle == 0:
             ax.plot(*panel.here, "*", color=HERE, markeredgecolor="white", markersize=15, label="plan")
         ax.set_title(f"turned by {np.degrees(angle):.0f}°")
-        ax.set_xlabel("x [m]")
-        ax.set_aspect("equal")
-    axes[0, 0].set_ylabel("y [m]")
-    axes[0, 0].legend(loc="lower center", ncols=3, fontsize="small")
-    figure.colorbar(image, ax=axes, label="J_seq", extend="max")
+    _label(figure, axes, image)
     where = f"placement {plan.placements[number - 1]}"
     figure.suptitle(f"{plan.problem.object.name}: cost of intermediate pose {number} on {where}")
     return figure
@@ -96,13 +92,19 @@ def plot_pose_distribution(plan: RegraspPlan) -> Any:
         )  # fmt: skip
         _mark_ends(ax, plan)
         ax.set_title(f"placement {number}: best {cost[here].min():.1f}")
+    _label(figure, axes, arrows)
+    figure.suptitle(f"{problem.object.name}: cost of one intermediate pose, by stable placement")
+    return figure
+
+
+def _label(figure: Any, axes: Any, coloured: Any) -> None:
+    """Name the axes of a row of panels of the table, seen from above, what is marked, and the colours."""
+    for ax in axes[0]:
         ax.set_xlabel("x [m]")
         ax.set_aspect("equal")
     axes[0, 0].set_ylabel("y [m]")
-    axes[0, 0].legend(loc="lower center", ncols=2, fontsize="small")
-    figure.colorbar(arrows, ax=axes, label="J_seq", extend="max")
-    figure.suptitle(f"{problem.object.name}: cost of one intermediate pose, by stable placement")
-    return figure
+    axes[0, 0].legend(loc="lower center", ncols=3, fontsize="small")
+    figure.colorbar(coloured, ax=axes, label="J_seq", extend="max")
 
 
 def _mark_ends(ax: Any, plan: RegraspPlan) -> None:
