@@ -27,6 +27,9 @@ _VALUES: tuple[Any, ...] = (
     "built-in", [], {}, [[]], [0.0] * 4, {"a": {}},
 )  # fmt: skip
 _TOO_FAR = (b"9" * 5000, b"[" * 5000, b'{"a":' * 3000, b"<a>" * 3000, b"x" * 5000, b"a\\u0000b", b"\0")
+_ODD_WORDS = (
+    "--", "-", "=", "--json=1", "--seed=-1", "--no-such", "-h", "*", "~", "é", "\udcff", "a b", "x" * 5000, "[" * 5000,
+)  # fmt: skip
 _TOKEN_EDGES = frozenset(b" \t\r\n,;:=[](){}<>\"'/")
 
 
@@ -259,3 +262,25 @@ def damage_arrays(data: bytes, rng: np.random.Generator) -> bytes:
     file = io.BytesIO()
     np.savez(file, **arrays)
     return file.getvalue()
+
+
+def damage_words(data: bytes, rng: np.random.Generator) -> bytes:
+    """Return the command line `data`, a JSON list of words, with a value changed, or a word dropped or moved."""
+    words = [str(word) for word in json.loads(data)]
+    values = [i for i, word in enumerate(words) if i and not word.startswith("-")]
+    if not values:
+        return data
+    at, other = values[rng.integers(len(values))], int(rng.integers(len(words)))
+    kind = rng.integers(9)
+    if kind < 5:
+        choice = _ODD_WORDS if kind == 0 else _NUMBERS
+        words[at] = choice[rng.integers(len(choice))]
+    elif kind == 5:
+        words[at] = words[at][: rng.integers(len(words[at]) + 1)]
+    elif kind == 6:
+        words[at], words[other] = words[other], words[at]
+    elif kind == 7:
+        words.insert(at, words[other])
+    else:
+        del words[other]
+    return json.dumps(words).encode()

@@ -14,6 +14,7 @@ import numpy as np
 import trimesh
 
 from regrasp_opt.benchmarks import fuzz_mutations as damage
+from regrasp_opt.benchmarks.fuzz_commands import command_lines, run_command_line
 from regrasp_opt.benchmarks.recheck import DATA
 from regrasp_opt.benchmarks.reliability_plans import write_obstacles
 from regrasp_opt.conventions import translation
@@ -21,6 +22,8 @@ from regrasp_opt.end_effectors import load_end_effector
 from regrasp_opt.energy.storage import load_energy
 from regrasp_opt.files import UNREADABLE_ARRAYS
 from regrasp_opt.grasps import GraspSet
+from regrasp_opt.motion import MotionPlan, plan_motion
+from regrasp_opt.motion.motion_file import state_at
 from regrasp_opt.objects import load_object
 from regrasp_opt.objects.builtin import build
 from regrasp_opt.planning import RegraspPlan, RegraspProblem, solve_sequence
@@ -125,6 +128,23 @@ def _read_plan(path: Path) -> None:
     RegraspPlan.load(path).residuals()
 
 
+def _motions(folder: Path) -> list[tuple[str, bytes]]:
+    """Return a motion, and what it is when there is no plan."""
+    found = []
+    for suffix, content in _plans(folder):
+        (folder / "plan.json").write_bytes(content)
+        plan_motion(RegraspPlan.load(folder / "plan.json")).save(folder / "motion.json")
+        found.append((suffix, (folder / "motion.json").read_bytes()))
+    return found
+
+
+def _read_motion(path: Path) -> None:
+    motion = MotionPlan.load(path)
+    if motion.solved:
+        for t in np.linspace(0.0, motion.duration, 10):
+            state_at(motion, float(t))
+
+
 def _energies(folder: Path) -> list[tuple[str, bytes]]:
     return [
         (".safetensors", path.read_bytes()) for path in sorted((DATA / "models/bottle-nova2-w").glob("*.safetensors"))
@@ -159,9 +179,11 @@ TARGETS: dict[str, Target] = {
     "end-effector": Target(load_end_effector, _end_effectors, _TEXT),
     "robot": Target(load_robot, _robots, (damage.damage_xml, damage.damage_text, damage.damage_bytes)),
     "plan": Target(_read_plan, _plans, (damage.damage_json, damage.damage_json, damage.damage_text)),
+    "motion": Target(_read_motion, _motions, (damage.damage_json, damage.damage_json, damage.damage_text)),
     "energy": Target(load_energy, _energies, (damage.damage_safetensors, damage.damage_bytes)),
     "grasp set": Target(GraspSet.load, _grasps, (damage.damage_arrays, damage.damage_arrays, damage.damage_bytes)),
     "pose": Target(_read_pose, _poses, (damage.damage_text, damage.damage_bytes)),
+    "command line": Target(run_command_line, command_lines, (damage.damage_words,)),
 }
 """The readers by the name under which they are reported."""
 

@@ -57,7 +57,7 @@ def _summary(rows: Sequence[Row]) -> Table:
             round(100 * len(_lost(own)) / solvable, 2) if solvable else None,
             "1",
         ),
-        ("damaged files read", _total(files, "inputs"), ""),
+        ("damaged files and command lines tried", _total(files, "inputs"), ""),
         ("of these for each reader, at least", least, "10000"),
         ("tracebacks, crashes, hangs, files harmed", broken if files else None, "0"),
         ("kills", _total(killed, "kills"), "50"),
@@ -132,10 +132,10 @@ def _fuzz_table(rows: Sequence[Row]) -> Table:
     lines = tuple(tuple(row.values()) for row in _by_reader(_of(rows, "files")))
     examples = "; ".join(f"{row['reader']} {row['examples']}" for row in _of(rows, "files") if row["examples"])
     return Table(
-        "Damaged files",
+        "Damaged files and command lines",
         ("reader", "files", "read", "refused", "tracebacks", "crashes", "hangs", "harmed"),
         lines,
-        examples or "Read: the damage left a file that is still good, or made another good one.",
+        examples or "Read: the damage left a file or command line that is still good, or made another good one.",
     )
 
 

@@ -24,7 +24,7 @@ logger = logging.getLogger(__name__)
 app = typer.Typer(
     name="regrasp-opt",
     help="Plan regrasps: the intermediate poses at which a robot must put an object down to get it from start to goal.",
-    no_args_is_help=True,
+    invoke_without_command=True,
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -58,6 +58,8 @@ PlanArgument = Annotated[Path, typer.Argument(metavar="PLAN", help="A plan file.
 def run(arguments: list[str]) -> int:
     """Run the command line on `arguments` and return the exit code."""
     began = time.perf_counter()
+    if any(not word or (word.startswith("--") and word.endswith("=")) for word in arguments):
+        return _fail("an argument is empty, perhaps because a variable is not set; give it a value, or leave it out")
     try:
         result = app(args=arguments, standalone_mode=False)
     except typer.TyperException as error:
@@ -78,10 +80,10 @@ def run(arguments: list[str]) -> int:
     return result if isinstance(result, int) else 0
 
 
-def _fail(message: str, error: BaseException) -> int:
+def _fail(message: str, error: BaseException | None = None) -> int:
     if interrupts.received():  # what a library made of the interrupt that it caught
         return interrupts.conclude()
-    if _state["debug"]:
+    if _state["debug"] and error is not None:
         traceback.print_exception(error)
     print(f"error: {' '.join(message.split())}", file=sys.stderr)
     return 2
@@ -95,6 +97,7 @@ def _show_version(wanted: bool) -> None:
 
 @app.callback()
 def _common(
+    context: typer.Context,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log what is done to stderr.")] = False,
     show_version: Annotated[
@@ -105,6 +108,8 @@ def _common(
     logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, format="%(name)s: %(message)s")
     system = f"Python {platform.python_version()} on {platform.system()} {platform.machine()}"
     logger.info("regrasp-opt %s, %s, data in %s", version("regrasp-opt"), system, data_home())
+    if context.invoked_subcommand is None:
+        print(context.get_help())
 
 
 @app.command()

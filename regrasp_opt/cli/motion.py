@@ -12,6 +12,7 @@ from rich.table import Table
 
 from regrasp_opt.cli.output import make_console, working
 from regrasp_opt.motion import MotionOptions, MotionPlan, plan_motion
+from regrasp_opt.motion.motion_file import check_step
 from regrasp_opt.motion.scene_export import save_scene
 from regrasp_opt.planning import RegraspPlan
 
@@ -29,6 +30,7 @@ def run_motion(
     as_json: bool,
 ) -> int:
     """Plan the motion of a saved plan, write what is asked for, and return 0 if there is one, else 1."""
+    check_step(step)
     plan = RegraspPlan.load(path)
     if scene is not None:
         save_scene(plan, scene)

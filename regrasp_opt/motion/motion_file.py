@@ -20,6 +20,8 @@ from regrasp_opt.planning import RegraspPlan
 from regrasp_opt.planning.plan_file import plan_content, plan_from_content, read_json, validated
 
 SCHEMA = 1
+LEAST_STEP = 1e-4
+"""Least time between rows of a CSV [s]; no controller reads finer ones."""
 
 Row = list[float]
 _STATUSES = {status.name.lower(): status for status in MotionStatus}
@@ -143,12 +145,11 @@ def save_motion_csv(motion: MotionPlan, path: str | os.PathLike[str], step: floa
     Raises
     ------
     OptionError
-        If `step` is not positive.
+        If `step` is no number of seconds from `LEAST_STEP`.
     PlanFileError
         If the motion is not solved.
     """
-    if not (np.isfinite(step) and step > 0):
-        raise OptionError(f"step is {step}; give a positive number of seconds")
+    check_step(step)
     if not motion.solved:
         raise PlanFileError(f"there is no motion to write: {motion.reason}")
     names = motion.plan.problem.workcell.robot.joint_names
@@ -160,6 +161,12 @@ def save_motion_csv(motion: MotionPlan, path: str | os.PathLike[str], step: floa
             segment, q, v, jaw = state_at(motion, t)
             numbers = [f"{x:.9g}" for x in (jaw, *q, *v)]
             writer.writerow([f"{t:.9g}", segment.phase.name.lower(), *numbers])
+
+
+def check_step(step: float) -> None:
+    """Raise an `OptionError` if `step` is no time between the rows of a CSV."""
+    if not LEAST_STEP <= step < np.inf:
+        raise OptionError(f"step is {step}; give a number of seconds from {LEAST_STEP}")
 
 
 def state_at(motion: MotionPlan, t: float) -> tuple[Segment, FloatArray, FloatArray, float]:

@@ -14,6 +14,11 @@ from regrasp_opt.robots import Robot
 ACCELERATION = 5.0
 """Largest joint acceleration when none is given [rad/s^2, m/s^2]; URDF files do not state one."""
 
+LEAST_VELOCITY = 0.001
+"""Least share of the velocity limits: slower is hardly meant, and times of 1e300 s break the arithmetic."""
+ACCELERATION_RANGE = 0.001, 1000.0
+"""Joint accelerations that are believed [rad/s^2, m/s^2], for the same reason."""
+
 JAW_TIME = 0.5
 """Time in which the jaw closes or opens while the arm rests [s]."""
 
@@ -28,9 +33,9 @@ class MotionOptions:
         Configuration at which the motion begins and ends [rad]: the robot's home by default; with None it begins before
         the first approach and ends after the last retreat.
     velocity : float
-        Share of the joints' velocity limits that is used, above 0 and at most 1.
+        Share of the joints' velocity limits that is used, from 0.001 to 1.
     acceleration : float or (dof,) array_like
-        Largest joint accelerations [rad/s^2]; for prismatic joints [m/s^2].
+        Largest joint accelerations [rad/s^2], from 0.001 to 1000; for prismatic joints [m/s^2].
     distances : tuple of float
         Lengths of the straight approach, lift, lowering and retreat that are tried, in that order [m].
     candidates : int
@@ -58,8 +63,8 @@ class MotionOptions:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not 0 < self.velocity <= 1:
-            raise OptionError(f"velocity is {self.velocity}; give a share above 0 and at most 1")
+        if not LEAST_VELOCITY <= self.velocity <= 1:
+            raise OptionError(f"velocity is {self.velocity}; give a share from {LEAST_VELOCITY} to 1")
         if not self.distances or not all(0.005 <= d <= 1 for d in self.distances):
             raise OptionError(f"distances are {self.distances}; give lengths from 0.005 to 1 m")
         for name in ("candidates", "iterations"):
@@ -74,14 +79,15 @@ class MotionOptions:
         Raises
         ------
         OptionError
-            If the accelerations are not positive, or of another number than its joints.
+            If the accelerations are out of range, or of another number than its joints.
         """
         try:
             acceleration = np.broadcast_to(np.asarray(self.acceleration, dtype=np.float64), (robot.dof,))
         except (TypeError, ValueError) as error:
             raise OptionError(f"acceleration must be one number or {robot.dof} of them") from error
-        if not (np.isfinite(acceleration).all() and (acceleration > 0).all()):
-            raise OptionError("acceleration must be positive")
+        least, most = ACCELERATION_RANGE
+        if not ((acceleration >= least) & (acceleration <= most)).all():
+            raise OptionError(f"acceleration is {self.acceleration}; give numbers from {least:g} to {most:g}")
         return self.velocity * robot.velocity_limits, np.array(acceleration)
 
     def home_of(self, robot: Robot) -> FloatArray | None:

@@ -2,9 +2,11 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 
 from regrasp_opt import RegraspProblem, solve_sequence
 from regrasp_opt.benchmarks import fuzz_targets, fuzzing
@@ -15,11 +17,14 @@ from regrasp_opt.benchmarks.instances import PosePool
 from regrasp_opt.benchmarks.recheck import Recheck
 from regrasp_opt.benchmarks.reliability_plans import choose_pairs, trial_rows, write_obstacles, wrong_claims
 from regrasp_opt.benchmarks.reliability_tables import branch_coverage, mutants, reliability_tables
+from regrasp_opt.cli import check as check_command
 from regrasp_opt.errors import MeshError
 from regrasp_opt.workcell import load_workcell
 
+QUICKLY_MADE = [name for name in TARGETS if name != "plan"]
 
-@pytest.mark.parametrize("name", [name for name in TARGETS if name != "plan"])
+
+@pytest.mark.parametrize("name", QUICKLY_MADE)
 def test_readers_take_or_refuse_damaged_files(name, tmp_path):
     for number in range(12):
         suffix, content = case(name, 1, number, tmp_path)
@@ -28,10 +33,46 @@ def test_readers_take_or_refuse_damaged_files(name, tmp_path):
         assert outcome in ("read", "refused"), (number, outcome)
 
 
-@pytest.mark.parametrize("name", [name for name in TARGETS if name != "plan"])
+@pytest.mark.parametrize("name", [name for name in QUICKLY_MADE if name != "command line"])
 def test_undamaged_files_are_read(name, tmp_path):
     for suffix, content in fuzz_targets.seeds(name, tmp_path):
         assert read_once(name, suffix, content, tmp_path) == "read"
+
+
+def test_command_lines_are_run_among_their_files(tmp_path):
+    lines = {content: json.loads(content) for _, content in fuzz_targets.seeds("command line", tmp_path)}
+    begun = {content: read_once("command line", ".json", content, tmp_path) for content in lines}
+    refused = [words for content, words in lines.items() if begun[content] == "refused"]
+    assert set(begun.values()) == {"read", "refused"}
+    assert {words[0] for words in refused} == {"bench", "plan", "prepare"}  # without meshes, a model, samples
+    for words in refused:
+        assert "part.stl" in words or "cell.toml" in words or words[0] == "bench", words
+
+
+def spoil_the_plan():
+    Path("plan.json").write_text("", encoding="utf-8")
+    raise MeshError("no")
+
+
+def end(code):
+    raise typer.Exit(code)
+
+
+@pytest.mark.parametrize(
+    ("act", "said"),
+    [
+        (lambda: 1 // 0, "internal error"),
+        (lambda: Path("unnamed").touch(), "changed ['unnamed']"),
+        (spoil_the_plan, "changed ['plan.json']"),
+        (lambda: end(2), "is no error"),
+        (lambda: end(7), "exit 7"),
+    ],
+)
+def test_what_goes_wrong_on_the_command_line_is_told_apart(act, said, tmp_path, monkeypatch):
+    fuzz_targets.seeds("command line", tmp_path)
+    monkeypatch.setattr(check_command, "run_check", lambda plan, as_json: act())
+    outcome = read_once("command line", ".json", b'["check", "plan.json"]', tmp_path)
+    assert outcome.startswith("traceback: RuntimeError") and said in outcome
 
 
 def test_what_goes_wrong_in_a_reader_is_told_apart(tmp_path, monkeypatch):
@@ -162,7 +203,9 @@ def test_the_summary_counts_what_the_rows_hold(tmp_path, monkeypatch):
     assert found["planning problems tried"] == 7 and found["false positives: plans that a proof refutes"] == 0
     assert found["false negatives: solvable on the exact grid, but not solved"] == 1
     assert found["false negatives, share of the solvable [%]"] == 25.0
-    assert found["tracebacks, crashes, hangs, files harmed"] == 1 and found["damaged files read"] == 5
+    assert (
+        found["tracebacks, crashes, hangs, files harmed"] == 1 and found["damaged files and command lines tried"] == 5
+    )
     assert found["kills"] == 7 and found["half files, runs that did not recover, other results"] == 1
     assert found["longest time to end [s]"] == 1.5
     assert found["branch coverage [%]"] is None and found["mutants killed [%]"] is None

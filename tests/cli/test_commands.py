@@ -139,6 +139,10 @@ def test_help_everywhere(capsys):
         assert outcome.code == 0 and "Usage" in outcome.out and outcome.err == ""
 
 
+def test_no_arguments_at_all_show_the_help(capsys):
+    assert in_process(capsys) == in_process(capsys, "--help")
+
+
 def test_version(capsys):
     try:
         expected = version("regrasp-opt")
@@ -178,6 +182,8 @@ def test_version(capsys):
         (("plan", "--scale", "nan"), "scale is nan"),
         (("plan", "--colour", "red"), "--colour"),
         (("plan", "extra"), "extra"),
+        (("plan", "--out", ""), "an argument is empty"),
+        (("plan", "--start="), "an argument is empty"),
         (("prepare",), "OBJECT"),
         (("prepare", "mug", "--samples", "5"), "samples is 5"),
         (("prepare", "mug", "--grasps", "0"), "num_grasps 0"),

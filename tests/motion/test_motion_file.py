@@ -102,8 +102,9 @@ def test_the_csv_holds_the_trajectories(motion, tmp_path):
 
 
 def test_csv_of_a_bad_step_or_no_motion_is_refused(motion, tmp_path):
-    with pytest.raises(OptionError, match="step"):
-        motion.save_csv(tmp_path / "x.csv", 0.0)
+    for step in (0.0, 1e-320, np.nan, np.inf):
+        with pytest.raises(OptionError, match="step is"):
+            motion.save_csv(tmp_path / "x.csv", step)
     unsolved = MotionPlan(MotionStatus.NO_MOTION, "blocked", motion.plan, (), *[np.ones(6)] * 2, 0.0)
     with pytest.raises(PlanFileError, match="blocked"):
         unsolved.save_csv(tmp_path / "x.csv")

@@ -96,6 +96,7 @@ def test_an_obstacle_that_appears_after_the_plan_is_not_run_into(bottle_plan):
     ("options", "named"),
     [
         ({"velocity": 0.0}, "velocity"),
+        ({"velocity": 1e-320}, "velocity"),
         ({"velocity": 1.5}, "velocity"),
         ({"distances": ()}, "distances"),
         ({"distances": (2.0,)}, "distances"),
@@ -103,6 +104,8 @@ def test_an_obstacle_that_appears_after_the_plan_is_not_run_into(bottle_plan):
         ({"iterations": 1.5}, "iterations"),
         ({"seed": -1}, "seed"),
         ({"acceleration": -1.0}, "acceleration"),
+        ({"acceleration": 1e-320}, "acceleration"),
+        ({"acceleration": np.inf}, "acceleration"),
         ({"acceleration": [1.0, 2.0]}, "acceleration"),
         ({"home": "bed"}, "home"),
         ({"home": [0.0, 1.0]}, "home"),
