@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -27,10 +28,12 @@ from regrasp_opt.motion.motion_file import state_at
 from regrasp_opt.objects import load_object
 from regrasp_opt.objects.builtin import build
 from regrasp_opt.planning import RegraspPlan, RegraspProblem, solve_sequence
+from regrasp_opt.planning.model_store import REPORT_FILE
 from regrasp_opt.planning.pose_text import parse_pose
 from regrasp_opt.robots import load_robot
 from regrasp_opt.workcell import load_workcell
 
+_MODEL = DATA / "models" / "bottle-nova2-w"
 Damage = Callable[[bytes, np.random.Generator], bytes]
 
 
@@ -146,13 +149,25 @@ def _read_motion(path: Path) -> None:
 
 
 def _energies(folder: Path) -> list[tuple[str, bytes]]:
-    return [
-        (".safetensors", path.read_bytes()) for path in sorted((DATA / "models/bottle-nova2-w").glob("*.safetensors"))
-    ]
+    return [(".safetensors", path.read_bytes()) for path in sorted(_MODEL.glob("*.safetensors"))]
+
+
+def _reports(folder: Path) -> list[tuple[str, bytes]]:
+    return [(".json", (_MODEL / REPORT_FILE).read_bytes())]
+
+
+def _read_model(path: Path) -> None:
+    """Load a prepared model, copied beside the folder of the file, that has `path` for its report."""
+    model = path.parent.parent / "model"
+    if not model.exists():
+        shutil.copytree(_MODEL, model)
+    shutil.copyfile(path, model / REPORT_FILE)
+    problem = RegraspProblem.load("bottle", "nova2-w", model=model)
+    problem.energy(_PLACEMENTS)
 
 
 def _grasps(folder: Path) -> list[tuple[str, bytes]]:
-    return [(".npz", (DATA / "models/bottle-nova2-w/grasps.npz").read_bytes())]
+    return [(".npz", (_MODEL / "grasps.npz").read_bytes())]
 
 
 _PLACEMENTS = np.array([np.eye(4), translation(0.0, 0.01, 0.1), np.diag([1.0, -1.0, -1.0, 1.0])])
@@ -181,6 +196,7 @@ TARGETS: dict[str, Target] = {
     "plan": Target(_read_plan, _plans, (damage.damage_json, damage.damage_json, damage.damage_text)),
     "motion": Target(_read_motion, _motions, (damage.damage_json, damage.damage_json, damage.damage_text)),
     "energy": Target(load_energy, _energies, (damage.damage_safetensors, damage.damage_bytes)),
+    "report of a model": Target(_read_model, _reports, (damage.damage_json, damage.damage_text, damage.damage_bytes)),
     "grasp set": Target(GraspSet.load, _grasps, (damage.damage_arrays, damage.damage_arrays, damage.damage_bytes)),
     "pose": Target(_read_pose, _poses, (damage.damage_text, damage.damage_bytes)),
     "command line": Target(run_command_line, command_lines, (damage.damage_words,)),
