@@ -68,7 +68,11 @@ def _summary(rows: Sequence[Row]) -> Table:
         ("mutants tried", *mutants(Path("mutants/counts.json"))[:1], ""),
         ("mutants killed [%]", *mutants(Path("mutants/counts.json"))[1:], "80"),
     ]
-    note = "A dash: not measured. False negatives leave out the paper's energy, which is not the planner's own."
+    note = (
+        "A dash: not measured. False negatives leave out the paper's energy, which is not the planner's own. Coverage "
+        "is that of `coverage run -m pytest`, `coverage combine` and `coverage json`, mutants are a seeded sample of "
+        "`python tests/mutants.py`, both run in the folder from which this page is made."
+    )
     return Table("Summary", ("what", "measured", "wanted"), tuple(lines), note)
 
 

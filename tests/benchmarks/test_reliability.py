@@ -203,9 +203,8 @@ def test_the_summary_counts_what_the_rows_hold(tmp_path, monkeypatch):
     assert found["planning problems tried"] == 7 and found["false positives: plans that a proof refutes"] == 0
     assert found["false negatives: solvable on the exact grid, but not solved"] == 1
     assert found["false negatives, share of the solvable [%]"] == 25.0
-    assert (
-        found["tracebacks, crashes, hangs, files harmed"] == 1 and found["damaged files and command lines tried"] == 5
-    )
+    assert found["tracebacks, crashes, hangs, files harmed"] == 1
+    assert found["damaged files and command lines tried"] == 5
     assert found["kills"] == 7 and found["half files, runs that did not recover, other results"] == 1
     assert found["longest time to end [s]"] == 1.5
     assert found["branch coverage [%]"] is None and found["mutants killed [%]"] is None

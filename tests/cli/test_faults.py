@@ -18,6 +18,7 @@ main()
 
 def command(script, *arguments, home):
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "REGRASP_OPT_HOME": str(home)}
+    environment.pop("COVERAGE_PROCESS_CONFIG", None)  # its data would not fit onto the full disk either
     return subprocess.Popen(
         [sys.executable, "-c", script, *map(str, arguments)], env=environment, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
