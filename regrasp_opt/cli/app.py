@@ -187,6 +187,7 @@ def prepare(
 
     regrasp-opt prepare part.stl --workcell nova2-w
     """
+    interrupts.resumable()
     from regrasp_opt.cli.prepare import PrepareRequest, run_prepare
 
     request = PrepareRequest(object, workcell, end_effector, samples, grasps, seed, jobs, scale, repair, out)
@@ -325,6 +326,8 @@ def bench(
 
     regrasp-opt bench one-step --quick --out results
     """
+    if experiment != "speed":  # timings are taken anew
+        interrupts.resumable()
     from regrasp_opt.cli.bench import run_bench
 
     return run_bench(

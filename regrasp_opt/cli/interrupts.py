@@ -22,6 +22,7 @@ GRACE = 1.0
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 _received: list[int] = []
+_said = ["interrupted"]
 _speaking = threading.Lock()
 
 
@@ -35,6 +36,11 @@ def install() -> None:
     threading.Thread(target=_watch, args=(receiver,), daemon=True).start()
 
 
+def resumable() -> None:
+    """Have it said, if the command is interrupted, that the same command goes on where this one stopped."""
+    _said[0] = "interrupted; run the same command again to go on from here"
+
+
 def received() -> bool:
     """Return whether a signal has come."""
     return bool(_received)
@@ -43,7 +49,7 @@ def received() -> bool:
 def conclude() -> int:
     """Say that the command was interrupted, once, and return the exit code: 130 for Ctrl-C, 143 for SIGTERM."""
     if _speaking.acquire(blocking=False):
-        sys.stderr.write("interrupted\n")
+        sys.stderr.write(f"{_said[0]}\n")
         sys.stderr.flush()
     return 128 + (_received[0] if _received else signal.SIGINT)
 
@@ -67,5 +73,5 @@ def _watch(receiver: socket.socket) -> None:
         number = receiver.recv(1)[0]
     time.sleep(GRACE)
     if _speaking.acquire(blocking=False):
-        os.write(2, b"interrupted\n")
+        os.write(2, f"{_said[0]}\n".encode())
     os._exit(128 + number)
