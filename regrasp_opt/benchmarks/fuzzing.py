@@ -2,7 +2,8 @@
 
 Readers are run in a process of their own, because the parsers below them are C++ and a crash there ends the process.
 That process says after each file how it went; one that falls silent for `SILENCE` seconds is ended by its own watchdog,
-one that dies is started again behind the file that killed it.
+one that dies is started again behind the file that killed it. Cases have numbers instead of coming from Hypothesis: a
+run resumes behind the last one that was read, and each is made again from its number alone.
 """
 
 from __future__ import annotations
