@@ -15,7 +15,7 @@ from regrasp_opt.errors import OptionError, UnknownNameError
 from regrasp_opt.files import content_hash
 from regrasp_opt.mesh_files import MESH_SUFFIXES
 from regrasp_opt.objects.builtin import OBJECT_NAMES, build
-from regrasp_opt.objects.mesh import read_mesh
+from regrasp_opt.objects.mesh import LARGEST, SMALLEST, read_mesh
 from regrasp_opt.objects.placements import Placement, stable_placements
 
 
@@ -93,7 +93,7 @@ def load_object(name_or_path: str | os.PathLike[str], *, scale: float = 1.0, rep
     MeshError
         If the file cannot be read or holds no solid of a plausible size; names the repair where there is one.
     OptionError
-        If `scale` is not a positive number.
+        If `scale` is not a positive number, or makes a built-in object implausibly large or small.
     """
     if isinstance(name_or_path, str) and name_or_path in OBJECT_NAMES:
         return _built_in(name_or_path, scale)
@@ -106,9 +106,13 @@ def load_object(name_or_path: str | os.PathLike[str], *, scale: float = 1.0, rep
 
 
 def _built_in(name: str, scale: float) -> ObjectModel:
-    if not (np.isfinite(scale) and scale > 0):
-        raise OptionError(f"scale is {scale}; give a positive number")
     mesh = build(name)
+    extent = float(mesh.extents.max()) * scale
+    if not SMALLEST <= extent <= LARGEST:
+        raise OptionError(
+            f"scale is {scale} and makes the {name} {extent:.3g} m long; give one that makes it {SMALLEST:g} to "
+            f"{LARGEST:g} m long"
+        )
     if scale != 1.0:
         mesh = trimesh.Trimesh(mesh.vertices * scale, mesh.faces, process=False)
     return ObjectModel(name, mesh, stable_placements(mesh), scale=scale)

@@ -108,6 +108,7 @@ def _source(
     tip = tip or urdf.default_tip(root, parents)
     chain = urdf.chain_to(tip, root, parents, path)
     urdf.settle_joints(chain, path)
+    urdf.settle_names(root, path)
     urdf.settle_meshes(root, path, package_dirs)
     links = [link.get("name", "") for link in root.iterfind("link")]
     for pair in ignored:
@@ -160,11 +161,11 @@ def _pinocchio_models(source: RobotSource) -> tuple[pin.Model, pin.GeometryModel
         with urdf.meshes_written_anew(source.xml) as xml, _quiet_stderr():
             full = pin.buildModelFromXML(xml)
             bodies = pin.buildGeomFromUrdfString(full, xml, pin.GeometryType.COLLISION)
+        locked = [joint for joint in range(1, full.njoints) if full.names[joint] not in source.joints]
+        model, (collision,) = pin.buildReducedModel(full, [bodies], locked, pin.neutral(full))
     except (ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
         raise WorkcellError(f"robot file {source.path} is no URDF that Pinocchio can read: {reason}") from error
-    locked = [joint for joint in range(1, full.njoints) if full.names[joint] not in source.joints]
-    model, (collision,) = pin.buildReducedModel(full, [bodies], locked, pin.neutral(full))
     return model, collision
 
 

@@ -158,6 +158,23 @@ def settle_joints(chain: Sequence[ET.Element], path: Path) -> None:
             )
 
 
+def settle_names(root: ET.Element, path: Path) -> None:
+    """Rename the fixed joints that are called like a link, in place: Pinocchio looks both up by name alone.
+
+    Raises
+    ------
+    WorkcellError
+        If a joint that moves is called like a link.
+    """
+    links = {link.get("name") for link in root.iterfind("link")}
+    for joint in root.iterfind("joint"):
+        name = joint.get("name")
+        if name in links and joint.get("type") == "fixed":
+            joint.set("name", f"{name} (fixed joint)")
+        elif name in links:
+            raise WorkcellError(f"{path}: a link and a moving joint are both called '{name}'; rename one of them")
+
+
 def _number(text: str) -> float:
     try:
         return float(text)

@@ -130,6 +130,9 @@ def test_scale_turns_millimetres_into_metres(tmp_path: Path) -> None:
             load_object(path, scale=scale)
         with pytest.raises(OptionError, match="scale"):
             load_object("mug", scale=scale)
+    for scale in (1e-320, 0.01, 100.0, 1e308):
+        with pytest.raises(OptionError, match="give one that makes it"):
+            load_object("mug", scale=scale)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Robots from files: what is read, what is refused and with which words, bodies, fingerprints."""
 
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -172,6 +173,15 @@ def test_arms_that_are_no_serial_chain_are_refused(write):
     assert "no moving joint" in refusal(write(arm_urdf([("fixed", "0 0 1", "0 0 0", "0 0 1", None)])))
     twice = "<joint name='x' type='fixed'><parent link='link0'/><child link='link2'/></joint>"
     assert "two joints" in refusal(write(arm_urdf([JOINT, JOINT], extra=twice)))
+
+
+def test_links_and_joints_of_one_name(write, nova2):
+    text = Path(nova2.urdf_path).read_text("utf-8")
+    assert 'name="flange_joint"' in text
+    same = load_robot(write(text.replace("flange_joint", "flange")))
+    assert same.joint_names == nova2.joint_names
+    np.testing.assert_array_equal(same.forward(nova2.home), nova2.forward(nova2.home))
+    assert "both called 'link1'" in refusal(write(text.replace('"joint2"', '"link1"')))
 
 
 @pytest.mark.parametrize("limits", [None, (1, 1), (2, -2), ("nan", 1), (0, "inf"), ("x", 1)])
