@@ -8,7 +8,6 @@ against what it is mounted on.
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from regrasp_opt.conventions import FloatArray
 from regrasp_opt.feasibility.geometry import mesh_geometry, shape_geometry
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel
+from regrasp_opt.robots.queries import settle_queries
 from regrasp_opt.workcell import Workcell
 
 _WORLD = 0
@@ -65,9 +65,7 @@ class CollisionScene:
             self.geometry.addCollisionPair(pin.CollisionPair(i, j))
         self.margins = np.array([margin for _, _, margin in pairs])
         self.data, self.geometry_data = self.model.createData(), self.geometry.createData()
-        for request, margin in zip(self.geometry_data.collisionRequests, self.margins, strict=True):
-            request.security_margin = float(margin)
-        _forget_results(self.geometry_data)
+        settle_queries(self.geometry_data, self.margins)
         # bounding boxes first, each grown by the margins: exact, and three to four times faster than all pairs
         self._boxes_first = pin.BroadPhaseManager_NaiveCollisionManager(self.model, self.geometry, self.geometry_data)
         self._placed = b""
@@ -130,11 +128,3 @@ class CollisionScene:
             distance = pin.computeDistance(self.geometry, self.geometry_data, index).min_distance
             least = min(least, distance)
         return float(least)
-
-
-def _forget_results(data: Any) -> None:
-    """Let every query start afresh: GJK would start from the last result, so answers would depend on the order."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
-        for request in (*data.collisionRequests, *data.distanceRequests):
-            request.enable_cached_gjk_guess = False

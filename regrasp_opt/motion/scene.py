@@ -8,7 +8,6 @@ that bodies which move by at most ``LEVELS[k]`` between two samples cannot touch
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -20,6 +19,7 @@ from scipy.spatial import ConvexHull
 from regrasp_opt.conventions import FloatArray, invert
 from regrasp_opt.feasibility.geometry import mesh_geometry, shape_geometry
 from regrasp_opt.planning import RegraspProblem
+from regrasp_opt.robots.queries import settle_queries
 
 LEVELS = 0.032 / 2.0 ** np.arange(10)
 """Motion between two samples [m] that each level of a setting allows for: 32 mm down to 0.06 mm."""
@@ -187,11 +187,7 @@ class _Bodies:
         """
         data = self.geometry.createData()
         margins = np.maximum(self.required, FLOOR * self.required + size / 2)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)
-            for request, margin in zip(data.collisionRequests, margins, strict=True):
-                request.security_margin = float(margin)
-                request.enable_cached_gjk_guess = False  # answers must not depend on the order of the questions
+        settle_queries(data, margins)
         for last in range(1, without + 1):
             data.deactivateCollisionPair(len(self.required) - last)
         self._data.append(data)

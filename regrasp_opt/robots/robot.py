@@ -22,6 +22,7 @@ from regrasp_opt.conventions import JOINT_LIMIT_TOLERANCE, FloatArray
 from regrasp_opt.files import content_hash
 from regrasp_opt.robots.ik import IkSolutions, InverseKinematics
 from regrasp_opt.robots.kinematics import SerialChain
+from regrasp_opt.robots.queries import settle_queries
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +149,7 @@ class Robot:
         for i, j in pairs:
             geometry.addCollisionPair(pin.CollisionPair(i, j))
         data = geometry.createData()
+        settle_queries(data, np.zeros(len(pairs)))
         q = np.asarray(q, dtype=np.float64)
         if not pin.computeCollisions(self.model, self.model.createData(), geometry, data, q, False):
             return None
