@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from transforms import random_transforms
 
 from regrasp_opt.energy.features import feature_count
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
@@ -19,13 +19,6 @@ def _own_data_home(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("REGRASP_OPT_HOME", str(tmp_path_factory.getbasetemp() / "data-home"))
         yield
-
-
-def random_transforms(rng: np.random.Generator, count: int, spread: float = 0.1) -> np.ndarray:
-    T = np.tile(np.eye(4), (count, 1, 1))
-    T[:, :3, :3] = Rotation.random(count, rng=rng).as_matrix()
-    T[:, :3, 3] = rng.normal(size=(count, 3)) * spread
-    return T
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ import subprocess
 import casadi as ca
 import numpy as np
 import pytest
-from conftest import random_transforms
 from derivatives import assert_derivative
+from transforms import random_transforms
 
 from regrasp_opt.connectivity import BLOCKED, CostOptions, sequence_cost
 from regrasp_opt.connectivity.casadi_chain import cost_of_scores, pair_score

@@ -1,7 +1,7 @@
 import casadi as ca
 import numpy as np
 import pytest
-from conftest import random_transforms
+from transforms import random_transforms
 
 from regrasp_opt.conventions import planar_transform
 from regrasp_opt.energy.activations import ACTIVATIONS, activate

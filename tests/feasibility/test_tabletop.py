@@ -5,7 +5,7 @@ from dataclasses import replace
 import coal
 import numpy as np
 import pytest
-from conftest import random_transforms
+from transforms import random_transforms
 
 from regrasp_opt.connectivity import TableRule
 from regrasp_opt.conventions import planar_transform, translation
