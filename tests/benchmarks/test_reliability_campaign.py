@@ -1,0 +1,146 @@
+"""`bench reliability` as a whole, at a size of seconds: its tables say what its rows say, and a second run resumes."""
+
+import signal
+from dataclasses import replace
+
+import pytest
+import trimesh
+
+from regrasp_opt.benchmarks import faults, reliability, reliability_plans
+from regrasp_opt.benchmarks import session as session_module
+from regrasp_opt.benchmarks.faults import JOBS, Job, signal_rows
+from regrasp_opt.benchmarks.fuzz_targets import TARGETS
+from regrasp_opt.benchmarks.oracle import Resolution
+from regrasp_opt.benchmarks.reliability import Sizes, run_reliability
+from regrasp_opt.benchmarks.reliability_plans import CONDITIONS, Condition, workcells
+from regrasp_opt.benchmarks.report import write_report
+from regrasp_opt.benchmarks.session import Session
+from regrasp_opt.planning.problem import RegraspProblem
+
+WRITES = """
+import os, sys
+with open(sys.argv[1] + "/.rows", "w") as file:
+    file.write("pair,seconds\\na,1\\n")
+os.replace(sys.argv[1] + "/.rows", sys.argv[1] + "/rows.csv")
+"""
+SLEEPS = "import time; time.sleep(60)"
+SAYS_SO = """
+import signal, sys, time
+def leave(number, frame): sys.exit(128 + number)
+signal.signal(signal.SIGTERM, leave); signal.signal(signal.SIGINT, leave)
+time.sleep(60)
+"""
+STUBBORN = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(60)"
+
+
+@pytest.fixture
+def session(tmp_path, monkeypatch):
+    """A campaign of two trials on the bottle, files for one reader, and one job that is soon done."""
+    monkeypatch.setattr(session_module, "QUICK_GRID", Resolution(0.15, 4))
+    monkeypatch.setattr(reliability, "QUICK", Sizes(1, 3, 1, 1))
+    monkeypatch.setattr(reliability, "CONDITIONS", CONDITIONS[:2])
+    monkeypatch.setattr(reliability, "TARGETS", {"pose": TARGETS["pose"]})
+    monkeypatch.setattr(reliability, "JOBS", {"prepare": JOBS["prepare"]})
+    monkeypatch.setitem(JOBS, "prepare", Job((WRITES, "{}"), 1.0))
+    return Session(tmp_path, quick=True, names=("bottle",), jobs=1, quiet=True)
+
+
+def columns(table):
+    return [dict(zip(table.columns, row, strict=True)) for row in table.rows]
+
+
+def of(rows, part):
+    return [row for row in rows if row.get("part") == part]
+
+
+def test_the_tables_say_what_the_rows_say_and_a_second_run_resumes(session):
+    report = run_reliability(session)
+    summary = write_report(report, session.folder / report.name)
+    plans, [files], (kills, *signals) = (of(report.rows, part) for part in ("plans", "files", "faults"))
+    assert summary["errors"] == [] and len(plans) + 1 + 1 + len(signals) == len(report.rows)
+
+    head, plan_table, file_table, fault_table = report.tables
+    told = {row["what"]: row["measured"] for row in columns(head)}
+    assert told["planning problems tried"] == len(plans) == 2
+    assert told["false positives: plans that a proof refutes"] == 0 and all(row["wrong"] == "" for row in plans)
+    assert told["damaged files and command lines tried"] == files["inputs"] == 3
+    assert told["kills"] == kills["kills"] == 1
+    assert told["half files, runs that did not recover, other results"] == 0
+
+    lines = {line["condition"]: line for line in columns(plan_table)}
+    assert list(lines) == ["all grasps", "20 grasps"]
+    for row in plans:
+        assert lines[row["condition"]]["solved"] == row["solved"]
+        assert lines[row["condition"]]["low-energy candidates"] == row["low"]
+        assert len(report.instances[row["pair"]]) == 16
+    assert [line["read"] + line["refused"] for line in columns(file_table)] == [3]
+    assert [line["signal"] for line in columns(fault_table)] == ["SIGKILL", "SIGINT", "SIGTERM"]
+
+    again = run_reliability(session)
+    assert again.rows == report.rows and again.instances == report.instances
+
+
+def test_a_trial_without_a_plan_is_asked_of_the_oracle(session, monkeypatch):
+    monkeypatch.setattr(reliability, "TARGETS", {})
+    monkeypatch.setattr(reliability, "JOBS", {})
+    conditions = (Condition("all grasps"), Condition("2 grasps", 2), Condition("paper's energy", None, "paper"))
+    monkeypatch.setattr(reliability, "CONDITIONS", conditions)
+    monkeypatch.setattr(reliability_plans, "TIME_LIMIT", 1e-9)  # no trial that needs a regrasp has the time for it
+    report = run_reliability(replace(session, seed=2))
+    rows = {row["condition"]: row for row in report.rows}
+    assert not any(row["solved"] for row in rows.values())
+    assert rows["all grasps"]["status"] == "time_limit" and rows["all grasps"]["minimum"] == 1
+    assert rows["2 grasps"]["minimum"] is None  # two grasps that no pose of the grid joins
+    assert "minimum" not in rows["paper's energy"]
+    lost = {line["condition"]: line["false no plan"] for line in columns(report.tables[1])}
+    assert lost == {"all grasps": 1, "2 grasps": 0, "paper's energy": None}
+
+
+def test_an_object_that_cannot_be_prepared_is_a_row_and_the_rest_runs_on(session, tmp_path, monkeypatch):
+    monkeypatch.setattr(reliability, "TARGETS", {})
+    monkeypatch.setattr(reliability, "JOBS", {})
+    monkeypatch.setattr(reliability, "CONDITIONS", CONDITIONS[:1])
+    meshes = tmp_path / "meshes"
+    meshes.mkdir()
+    trimesh.creation.box((0.4, 0.4, 0.4)).export(meshes / "crate.stl")  # no finger goes around it
+    report = run_reliability(replace(session, objects=meshes))
+    [error] = report.errors
+    assert (error["object"], error["workcell"]) == ("crate.stl", "nova2-w") and "grasp" in error["error"]
+    assert [row["object"] for row in of(report.rows, "plans")] == ["bottle"]
+
+
+def test_a_full_campaign_has_a_workcell_with_obstacles(tmp_path):
+    assert [name for name, _ in workcells(tmp_path, True)] == ["nova2-w"]
+    cells = dict(workcells(tmp_path, False))
+    assert list(cells) == [*reliability_plans.WORKCELLS, reliability_plans.OBSTACLES]
+    assert len(cells[reliability_plans.OBSTACLES].obstacles) == 3
+
+
+def test_few_grasps_are_drawn_of_all(bottle_problem):
+    rng = session_module.Session("", names=()).rng(1)
+    few, ids = reliability_plans.reduced(bottle_problem, Condition("5 grasps", 5), rng)
+    assert len(few.grasps) == len(set(ids)) == 5 and isinstance(few, RegraspProblem)
+    assert (few.grasps.T_object_tcp == bottle_problem.grasps.T_object_tcp[ids]).all()
+
+
+@pytest.mark.parametrize(
+    ("script", "number", "codes", "tracebacks"),
+    [
+        (SAYS_SO, signal.SIGTERM, "143", 0),
+        (SAYS_SO, signal.SIGINT, "130", 0),
+        (SLEEPS, signal.SIGINT, "-2", 1),
+        (STUBBORN, signal.SIGTERM, "-9", 0),
+    ],
+    ids=["SIGTERM", "SIGINT", "with a traceback", "killed after the grace"],
+)
+def test_how_a_command_ends_on_a_signal_is_told(script, number, codes, tracebacks, monkeypatch):
+    monkeypatch.setattr(faults, "GRACE", 0.2 if script is STUBBORN else 60.0)
+    monkeypatch.setitem(JOBS, "job", Job((script,), 1.0))
+    [row] = signal_rows("job", number, 0, 1)
+    assert (row["sent"], row["codes"], row["tracebacks"], row["half_files"]) == (1, codes, tracebacks, 0)
+
+
+def test_a_command_that_is_done_before_the_signal_is_not_counted_but_its_files_are_opened(monkeypatch):
+    monkeypatch.setitem(JOBS, "job", Job(("import sys; open(sys.argv[1], 'w').write('{')", "{}/half.json"), 1.0))
+    [row] = signal_rows("job", signal.SIGTERM, 0, 1)
+    assert (row["sent"], row["slowest"], row["codes"], row["half_files"]) == (0, 0.0, "", 1)
