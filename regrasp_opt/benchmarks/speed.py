@@ -14,6 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,38 @@ from regrasp_opt.solvers import NlpRefiner
 THIN_GRASPS = 12
 """Grasps of the problems that need two or three regrasps."""
 Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How much is measured.
+
+    Attributes
+    ----------
+    plans : int
+        Plans of each object with one regrasp; as many with two or three are looked for.
+    langevin : int
+        How many of the first are also planned by Langevin at the paper's setting.
+    repeats : int
+        Of each derivative and each point of the curves.
+    checks : int
+        Exact checks of a pose with a grasp.
+    runs : int
+        Whole processes of each kind.
+    samples : int
+        That a model is prepared from.
+    """
+
+    plans: int
+    langevin: int
+    repeats: int
+    checks: int
+    runs: int
+    samples: int
+
+
+QUICK = Sizes(6, 1, 5, 10_000, 3, 2_000)
+FULL = Sizes(40, 30, 25, 100_000, 7, 20_000)
 
 
 def plan_rows(name: str, count: int, langevin: int, tell: Callable[[str], None]) -> list[Row]:
@@ -109,12 +142,12 @@ def process_row(label: str, arguments: list[str], environment: dict[str, str] | 
     )
     seconds = time.perf_counter() - began
     code, peak = json.loads(watched.stdout)
-    return {
-        "what": label,
-        "seconds": seconds,
-        "peak_mb": peak / (1e6 if sys.platform == "darwin" else 1e3),
-        "exit": code,
-    }
+    return {"what": label, "seconds": seconds, "peak_mb": _megabytes(peak), "exit": code}
+
+
+def _megabytes(peak: int) -> float:
+    """Return the peak memory `peak` of `getrusage` in MB; macOS counts bytes, others kilobytes."""
+    return peak / (1e6 if sys.platform == "darwin" else 1e3)
 
 
 def process_rows(meshes: list[Path], repeats: int, samples: int, tell: Callable[[str], None]) -> list[Row]:
@@ -142,17 +175,17 @@ def measure(*, quick: bool, meshes: list[Path], tell: Callable[[str], None]) -> 
     dict
         ``plans`` and ``processes`` (rows), ``derivatives``, ``curves`` with ``exponents``, ``checks``, ``peak_mb``.
     """
+    sizes = QUICK if quick else FULL
     plans: list[Row] = []
     for name in OBJECT_NAMES:
         tell(f"{name}: one regrasp")
-        plans += plan_rows(name, 6 if quick else 40, 1 if quick else 30, tell)
+        plans += plan_rows(name, sizes.plans, sizes.langevin, tell)
     tell("derivatives and scaling")
-    repeats = 5 if quick else 25
-    derivatives = kernels.derivative_speed(repeats=repeats)
-    curves = {axis: kernels.iteration_curve(axis, repeats) for axis in kernels.SIZES}
+    derivatives = kernels.derivative_speed(sizes.repeats)
+    curves = {axis: kernels.iteration_curve(axis, sizes.repeats) for axis in kernels.SIZES}
     tell("exact checks")
-    checks = kernels.check_speed(RegraspProblem.load("bottle", "nova2-w"), 10_000 if quick else 100_000)
-    processes = process_rows(meshes, 3 if quick else 7, 2_000 if quick else 20_000, tell)
+    checks = kernels.check_speed(RegraspProblem.load("bottle", "nova2-w"), sizes.checks)
+    processes = process_rows(meshes, sizes.runs, sizes.samples, tell)
     return {
         "plans": plans,
         "derivatives": derivatives,
@@ -160,7 +193,7 @@ def measure(*, quick: bool, meshes: list[Path], tell: Callable[[str], None]) -> 
         "exponents": {axis: kernels.exponent(rows, axis) for axis, rows in curves.items()},
         "checks": checks,
         "processes": processes,
-        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
+        "peak_mb": _megabytes(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss),
     }
 
 

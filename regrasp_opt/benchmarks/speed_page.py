@@ -62,6 +62,7 @@ def _plans(rows: list[Row]) -> str:
     groups: list[tuple[str, Callable[[Row], bool]]] = [
         ("one regrasp", lambda r: r["refiner"] == "ipopt" and r["N"] == 1),
         ("two or three regrasps", lambda r: r["refiner"] == "ipopt" and (r["N"] or 0) >= 2),
+        ("without a plan", lambda r: r["refiner"] == "ipopt" and not r["solved"]),
         ("one regrasp, Langevin", lambda r: r["refiner"] == "langevin"),
     ]
     lines = []
@@ -110,7 +111,8 @@ def _derivatives(result: dict[str, float]) -> str:
     for kind in ("hessian", "gradient"):
         ours, plain = result[kind], result[f"plain_{kind}"]
         lines.append([kind, f"{1e3 * ours:.2f}", f"{1e3 * plain:.2f}", f"{plain / ours:.1f}x"])
-    header = ["`J_seq`, N = 3, G = 200, H = 128", "ours [ms]", "CasADi on the plain expression [ms]", "ratio"]
+    sizes = ", ".join(f"{axis} = {result[axis]}" for axis in "NGH")
+    header = [f"`J_seq`, {sizes}", "ours [ms]", "CasADi on the plain expression [ms]", "ratio"]
     return f"{table(header, lines)}\n\nLargest difference: {result['difference']:.1e}."
 
 
@@ -127,8 +129,8 @@ def _curves(result: dict[str, Any]) -> str:
 
 def _checks(result: dict[str, float]) -> str:
     return (
-        f"{result['per_second']:,.0f} (pose, grasp) pairs a second with 2 processes on the bottle in `nova2-w`. A "
-        f"plain loop over the same {result['pairs']:,} pairs, with as many processes, reaches "
+        f"{result['per_second']:,.0f} (pose, grasp) pairs a second with {result['processes']} processes on the bottle "
+        f"in `nova2-w`. A plain loop over the same {result['pairs']:,} pairs, with as many processes, reaches "
         f"{result['plain_per_second']:,.0f}; {result['different_labels']} labels differ."
     )
 

@@ -1,0 +1,115 @@
+"""`bench speed` at a size of seconds: what was measured stands in its file and, rounded, on its page."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+
+from regrasp_opt.benchmarks import kernels, speed
+from regrasp_opt.benchmarks.environment import environment
+from regrasp_opt.benchmarks.speed import Sizes
+from regrasp_opt.benchmarks.speed_page import performance_page
+from regrasp_opt.cli.app import run
+
+TINY_SIZES = {"N": (1, 2), "G": (10, 20), "H": (8, 16)}
+
+
+@pytest.fixture
+def tiny(monkeypatch):
+    monkeypatch.setattr(speed, "QUICK", Sizes(1, 1, 2, 300, 1, 500))
+    monkeypatch.setattr(speed, "OBJECT_NAMES", ("bottle",))
+    monkeypatch.setattr(kernels, "SIZES", TINY_SIZES)
+    monkeypatch.setattr(kernels, "STANDARD", {"N": 1, "G": 10, "H": 8})
+    monkeypatch.setattr(kernels, "DERIVED", {"N": 2, "G": 12, "H": 8})
+    monkeypatch.setattr(kernels, "CHECKERS", 1)
+
+
+def cells(page, first):
+    """Return the cells of the line of a table of `page` that begins with the cell `first`."""
+    [line] = [line for line in page.splitlines() if line.startswith(f"| {first} |")]
+    return [cell.strip() for cell in line.strip("|").split("|")]
+
+
+def test_the_command_measures_every_part_and_the_page_repeats_it(tiny, tmp_path, capsys):
+    meshes = tmp_path / "meshes"
+    meshes.mkdir()
+    (meshes / "broken.stl").write_text("solid nothing", encoding="utf-8")
+    out = tmp_path / "out"
+    assert run(["bench", "speed", "--quick", "--objects", str(meshes), "--out", str(out), "--json"]) == 0
+    stored = json.loads((out / "speed" / "speed.json").read_text("utf-8"))
+    page = (out / "speed" / "performance.md").read_text("utf-8")
+    assert stored == {"environment": environment(), **json.loads(capsys.readouterr().out)}
+
+    one, langevin, *deep = stored["plans"]
+    assert all(row["solved"] and row["object"] == "bottle" for row in stored["plans"])
+    assert (one["refiner"], one["N"], langevin["refiner"]) == ("ipopt", 1, "langevin")
+    assert deep and all(row["N"] >= 2 and row["grasps"] == speed.THIN_GRASPS for row in deep)
+    assert all(sum(row[name] for name in row if name.startswith("t_")) <= row["seconds"] for row in stored["plans"])
+
+    assert stored["derivatives"]["difference"] < 1e-9 and stored["checks"]["different_labels"] == 0
+    assert 0 < stored["checks"]["feasible_share"] < 1 and stored["checks"]["pairs"] == 400
+    for axis, rows in stored["curves"].items():
+        assert tuple(row[axis] for row in rows) == TINY_SIZES[axis]
+        assert stored["exponents"][axis] == pytest.approx(kernels.exponent(rows, axis))
+    exits = {row["what"]: row["exit"] for row in stored["processes"]}
+    assert exits["regrasp-opt --help"] == exits["regrasp-opt plan"] == 0
+    assert exits["prepare broken.stl"] == exits["prepare + plan broken.stl"] == 2
+
+    assert "regrasp-opt bench speed --quick" in page
+    assert cells(page, "hessian")[1] == f"{1e3 * stored['derivatives']['hessian']:.2f}"
+    assert cells(page, "prepare broken.stl")[-1] == "2"
+    assert f"| bottle | two or three regrasps | {len(deep)} | {len(deep)} |" in page
+
+
+def plan(seconds, refiner="ipopt", N=1, solved=True, **parts):
+    row = {"object": "mug", "grasps": 200, "refiner": refiner, "solved": solved, "N": N, "seconds": seconds}
+    return {**row, **{f"t_{name}": value for name, value in parts.items()}}
+
+
+def made_up():
+    plans = [plan(0.1, refine=0.04, verify=0.01), plan(0.2, refine=0.04, verify=0.01), plan(0.3, refine=0.1)]
+    plans += [plan(0.5, N=2), plan(0.9, N=3), plan(0.7, N=None, solved=False)]
+    plans += [plan(1.5, "langevin"), plan(3.0, "langevin", None, False)]
+    times = {"hessian": 0.002, "plain_hessian": 0.01, "gradient": 0.001, "plain_gradient": 0.0015}
+    curve = [{"N": n, "G": 200, "H": 64, "seconds": 0.001 * n**2} for n in (1, 2, 4)]
+    checks = {"processes": 2, "pairs": 1000, "per_second": 5000.0, "plain_per_second": 400.0, "different_labels": 0}
+    processes = [{"what": "plan", "seconds": s, "peak_mb": 100 * s, "exit": int(s > 2)} for s in (1.0, 2.0, 3.0)]
+    return {
+        "plans": plans,
+        "derivatives": {"N": 3, "G": 200, "H": 128, **times, "difference": 1e-14},
+        "curves": {"N": curve},
+        "exponents": {"N": kernels.exponent(curve, "N")},
+        "checks": {**checks, "feasible_share": 0.1},
+        "processes": processes,
+        "peak_mb": 512.4,
+    }
+
+
+def test_figures_of_the_page_are_medians_and_ratios_of_the_rows():
+    page = performance_page(made_up(), environment(), "the command")
+    table = [line.split(" | ") for line in page.splitlines() if line.startswith("| mug |")]
+    lines = {line[1]: [cell.strip(" |") for cell in line[2:]] for line in table}
+    assert lines["one regrasp"] == ["3", "3", "0.200", "0.290", ""]
+    assert lines["two or three regrasps"][:3] == ["2", "2", "0.700"]
+    assert lines["without a plan"][:3] == ["1", "0", "0.700"]
+    # Langevin's median against that of the same two tasks
+    assert lines["one regrasp, Langevin"] == ["2", "1", "2.250", "2.925", "15x"]
+    assert cells(page, "Ipopt, energies included")[1:3] == ["40.0", "20%"]
+    assert cells(page, "the rest")[1:3] == ["150.0", "75%"]
+    assert cells(page, "hessian")[1:] == ["2.00", "10.00", "5.0x"] and "N = 3, G = 200, H = 128" in page
+    assert re.search(r"G = 200, H = 64; exponent 2\.00", page) and "512 MB" in page
+    assert cells(page, "plan")[1:] == ["3", "2.00", "300", "1"]
+    assert "5,000 (pose, grasp) pairs a second with 2 processes" in page and "0 labels differ" in page
+
+
+def test_the_exponent_of_a_power_law_is_found():
+    rows = [{"G": n, "seconds": 3e-6 * n**1.5} for n in (50, 100, 400)]
+    assert kernels.exponent(rows, "G") == pytest.approx(1.5)
+
+
+def test_random_energies_are_the_same_for_the_same_seed():
+    a, b, c = (kernels.random_energy(6, 8, seed) for seed in (0, 0, 1))
+    T = np.eye(4)[None]
+    np.testing.assert_array_equal(a(T), b(T))
+    assert not np.array_equal(a(T), c(T))
