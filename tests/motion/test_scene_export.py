@@ -1,0 +1,85 @@
+"""Scenes of workcells with meshes: a robot's mesh, obstacles of every kind, and a tool without fingers."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import trimesh
+
+from regrasp_opt import RegraspProblem, solve_sequence
+from regrasp_opt.benchmarks.recheck import DATA
+from regrasp_opt.motion.scene_export import save_scene
+from regrasp_opt.workcell import load_workcell
+
+OBSTACLES = """
+[[obstacles]]
+type = "cylinder"
+name = "post"
+radius = 0.02
+length = 0.3
+position = [0.4, 0.5, 0.15]
+[[obstacles]]
+type = "mesh"
+name = "part"
+file = "part.stl"
+position = [-0.4, 0.5, 0.1]
+rpy = [0.0, 0.0, 0.5]
+"""
+
+
+@pytest.fixture
+def plan(tmp_path, bottle_plan):
+    """The plan of the bottle in a workcell whose robot has a mesh, beside a post and a mesh."""
+    here = tmp_path / "files"
+    here.mkdir()
+    trimesh.creation.box((0.06, 0.06, 0.2)).export(here / "part.stl")
+    trimesh.creation.cylinder(0.066, 0.035).export(here / "foot.stl")
+    foot = '<cylinder radius="0.066" length="0.035"/>'
+    urdf = (DATA / "robots" / "nova2" / "nova2.urdf").read_text("utf-8")
+    (here / "arm.urdf").write_text(urdf.replace(foot, '<mesh filename="foot.stl"/>'), encoding="utf-8")
+    text = (DATA / "workcells" / "nova2-w.toml").read_text("utf-8").replace('"nova2"', '"arm.urdf"')
+    (here / "cell.toml").write_text(text + OBSTACLES, encoding="utf-8")
+    problem = replace(bottle_plan.problem, workcell=load_workcell(here / "cell.toml"))
+    return replace(bottle_plan, problem=problem)
+
+
+def bodies(path):
+    """Return the collision bodies in a URDF by the names of their links, as Pinocchio reads it."""
+    model = pin.buildModelFromUrdf(str(path))
+    geometry = pin.buildGeomFromUrdf(model, str(path), pin.GeometryType.COLLISION, package_dirs=[str(path.parent)])
+    return {item.name.rsplit("_", 1)[0]: item for item in geometry.geometryObjects}
+
+
+def test_meshes_are_found_from_the_folder_of_the_scene(plan, tmp_path):
+    folder = tmp_path / "scene"
+    save_scene(plan, folder)
+    assert f'filename="{tmp_path / "files" / "foot.stl"}"' in (folder / "robot.urdf").read_text("utf-8")
+    assert "base_link" in bodies(folder / "robot.urdf")
+    fixed = bodies(folder / "surroundings.urdf")
+    assert set(fixed) == {"table", "post", "part"}
+    assert (fixed["post"].geometry.radius, 2 * fixed["post"].geometry.halfLength) == (0.02, 0.3)
+    part = trimesh.load(folder / "surrounding-2.stl")
+    np.testing.assert_allclose(part.extents, [0.06, 0.06, 0.2], atol=1e-6)
+    wanted = plan.problem.workcell.obstacles[1].pose
+    np.testing.assert_allclose(fixed["part"].placement.homogeneous, wanted, atol=1e-9)
+
+
+def test_names_of_packages_are_left_as_they_are(plan, tmp_path):
+    robot = tmp_path / "files" / "arm.urdf"
+    robot.write_text(robot.read_text("utf-8").replace('"foot.stl"', '"package://arm/foot.stl"'), encoding="utf-8")
+    save_scene(plan, tmp_path / "scene")
+    assert '"package://arm/foot.stl"' in (tmp_path / "scene" / "robot.urdf").read_text("utf-8")
+
+
+def test_a_suction_tool_has_no_fingers(tmp_path):
+    problem = RegraspProblem.load("bottle", "nova2-s1")
+    T = problem.pose(0, 0.1, 0.35)
+    plan = solve_sequence(problem, T, T)
+    assert plan.solved
+    save_scene(plan, tmp_path)
+    gripper = pin.buildModelFromUrdf(str(tmp_path / "gripper.urdf"))
+    assert gripper.njoints == 1 and set(bodies(tmp_path / "gripper.urdf")) == {"gripper"}
+    scene = json.loads((tmp_path / "scene.json").read_text("utf-8"))
+    assert {held["grasp_id"] for held in scene["object_in_hand"]} == set(plan.transitions[0].grasp_ids.tolist())
