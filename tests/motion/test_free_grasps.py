@@ -18,6 +18,7 @@ from regrasp_opt.grasps.settling import GraspSettler
 from regrasp_opt.grasps.suction import NO_SEAL
 from regrasp_opt.motion import FreeGraspOptions, solve_with_free_grasps
 from regrasp_opt.motion.free_grasp_program import STEP, ChainSolve, FreeGraspProgram, displaced
+from regrasp_opt.motion.free_grasps import _Search
 from regrasp_opt.planning.tasks import random_task
 
 
@@ -172,6 +173,40 @@ def test_free_grasps_plan_where_ten_sampled_ones_cannot(thinned, tmp_path):
     assert loaded.solved and loaded.residuals().hold
     again = solve_with_free_grasps(problem, task.start, task.goal, max_regrasps=1)
     np.testing.assert_array_equal(again.poses, plan.poses)
+
+
+def test_where_no_chain_holds_the_planner_searches_the_grown_set(thinned, monkeypatch):
+    problem, task = thinned
+    monkeypatch.setattr(_Search, "_holds", lambda self, grown, chain: False)
+    options = FreeGraspOptions(rounds=3, chains=1, steps=1, searches=(1, 2, 3))
+    plan = solve_with_free_grasps(problem, task.start, task.goal, max_regrasps=1, options=options)
+    assert plan.status is Status.SOLVED and plan.residuals().hold
+    used = np.unique(np.concatenate([t.grasp_ids for t in plan.transitions]))
+    assert set(range(10, len(plan.problem.grasps))) <= set(used.tolist())  # no moved grasp is kept for nothing
+    found = solve_sequence(plan.problem, task.start, task.goal, max_regrasps=1)
+    assert found.solved and found.num_regrasps == plan.num_regrasps
+
+
+def test_without_regrasps_one_free_grasp_must_do_for_both_ends(bottle_problem):
+    problem = replace(bottle_problem, grasps=bottle_problem.grasps.subset([0, 1]))
+    task = next(
+        task
+        for task in (random_task(bottle_problem, np.random.default_rng(k), needs_regrasp=False) for k in range(20))
+        if not problem.feasible_grasps(task.start).any()
+    )
+    plan = solve_with_free_grasps(problem, task.start, task.goal, max_regrasps=0)
+    assert plan.solved and plan.num_regrasps == 0 and len(plan.problem.grasps) > 2
+    assert plan.residuals().hold
+
+
+def test_free_suction_grasps_seal_as_well_as_the_sampled_ones():
+    whole = RegraspProblem.load("bottle", "nova2-s1")
+    problem = replace(whole, grasps=whole.grasps.subset([0, 1]))
+    task = random_task(whole, np.random.default_rng(1), needs_regrasp=False)
+    plan = solve_with_free_grasps(problem, task.start, task.goal, max_regrasps=0)
+    assert plan.solved and plan.residuals().hold and len(plan.problem.grasps) > 2
+    settler = GraspSettler(problem.object, problem.workcell.end_effector)
+    assert settler.worst_grade(plan.problem.grasps) <= settler.worst_grade(problem.grasps)
 
 
 def test_a_plan_of_the_sampled_grasps_is_returned_as_it_is(bottle_problem):
