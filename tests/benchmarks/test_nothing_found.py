@@ -8,7 +8,17 @@ import numpy as np
 import pytest
 import trimesh
 
-from regrasp_opt.benchmarks import ablations, cost_sweep, hard_tiers, joint, models, motion, one_step, subjects
+from regrasp_opt.benchmarks import (
+    ablations,
+    cost_sweep,
+    hard_tiers,
+    joint,
+    models,
+    motion,
+    motion_recheck,
+    one_step,
+    subjects,
+)
 from regrasp_opt.benchmarks import session as session_module
 from regrasp_opt.benchmarks.instances import Instance
 from regrasp_opt.benchmarks.models import TrainingRequest, trained_energies
@@ -62,6 +72,8 @@ def test_motion_plans_again_where_the_first_plan_cannot_be_moved(bottle_problem,
         calls.append(plan)
         return unmoved(plan) if len(calls) == 1 else plan_motion(plan, options)
 
+    monkeypatch.setattr(motion_recheck, "STEP", 5e-3)
+    monkeypatch.setattr(motion_recheck, "TURN", np.deg2rad(2.0))
     monkeypatch.setattr(motion, "plan_motion", not_at_first)
     [row] = motion.motion_row(bottle_problem, pair, 0)
     assert (row["first_moves"], row["reason"], row["moves"], row["collisions"]) == (False, "a wall", True, 0)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 from regrasp_opt.benchmarks import motion_recheck
 from regrasp_opt.benchmarks.motion_recheck import recheck
@@ -11,6 +12,8 @@ from regrasp_opt.motion import Phase
 from regrasp_opt.motion.lines import line
 from regrasp_opt.motion.timing import through
 from regrasp_opt.motion.trajectory import Trajectory
+from regrasp_opt.robots import load_robot
+from regrasp_opt.shapes import Box, Cylinder, Mesh
 
 
 def changed(motion, phase, **changes):
@@ -92,3 +95,53 @@ def test_joints_beyond_their_limits_are_noticed(motion):
     path = first(motion, Phase.RETURN).trajectory
     turned = Trajectory(path.times, path.positions + 4 * np.pi * np.eye(6)[5], path.velocities)
     assert "a joint leaves its limits" in problems(changed(motion, Phase.RETURN, trajectory=turned)[0])
+
+
+def test_an_arm_that_moves_while_the_jaw_closes_is_noticed(motion):
+    path = first(motion, Phase.GRASP).trajectory
+    drifting = path.positions + 1e-3 * np.linspace(0, 1, len(path.times))[:, None]
+    moved = Trajectory(path.times, drifting, path.velocities)
+    assert "transition 0, grasp: the arm does not rest" in problems(changed(motion, Phase.GRASP, trajectory=moved)[0])
+
+
+def test_a_grasp_that_both_poses_do_not_share_is_noticed(motion):
+    shared = set(motion.plan.transitions[0].grasp_ids.tolist())
+    other = next(g for g in range(len(motion.plan.problem.grasps)) if g not in shared)
+    text = problems(changed(motion, Phase.LIFT, grasp_id=other)[0])
+    assert "the grasp is not shared by the two poses" in text and "changes the grasp on its way" in text
+
+
+def test_obstacles_of_every_kind_are_met(motion):
+    """Each stands where the hand is in the middle of the transfer."""
+    problem, path = motion.plan.problem, first(motion, Phase.TRANSFER).trajectory
+    hand = problem.workcell.T_world_base @ problem.workcell.robot.forward(path.positions[len(path.positions) // 2])
+    here = np.eye(4)
+    here[:3, 3] = hand[:3, 3]
+    cube = trimesh.creation.box((0.05, 0.05, 0.05))
+    for obstacle in (
+        Box("cube", np.full(3, 0.05), here),
+        Cylinder("post", 0.03, 0.05, here),
+        Mesh("part", np.array(cube.vertices), np.array(cube.faces), here),
+    ):
+        cell = replace(problem.workcell, obstacles=(obstacle,))
+        plan = replace(motion.plan, problem=replace(problem, workcell=cell))
+        one = next(segment for segment in motion.segments if segment.phase is Phase.TRANSFER)
+        checker = motion_recheck._Checker(replace(motion, plan=plan))
+        checker._collisions(one)
+        assert checker.collisions > 0 and f"meets {obstacle.name}" in " ".join(checker.problems)
+
+
+RAIL = """<robot name="arm"><link name="base"/><link name="sledge"/><link name="tool0"/>
+<joint name="rail" type="prismatic"><parent link="base"/><child link="sledge"/><origin xyz="0 0 0.3" rpy="0.2 0 0"/>
+<axis xyz="0.6 0.8 0"/><limit lower="-0.4" upper="0.4" velocity="1" effort="1"/></joint>
+<joint name="turn" type="revolute"><parent link="sledge"/><child link="tool0"/><origin xyz="0.1 0 0" rpy="0 0.4 0"/>
+<axis xyz="0 0 1"/><limit lower="-2" upper="2" velocity="1" effort="1"/></joint></robot>"""
+
+
+def test_rails_are_driven_along_their_axes(motion, tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(RAIL, encoding="utf-8")
+    checker = motion_recheck._Checker(motion)
+    checker.robot = load_robot(path)
+    q = np.random.default_rng(0).uniform(-0.2, 0.2, (5, checker.robot.dof))
+    np.testing.assert_allclose(checker._frames(q)[:, -1], checker.robot.forward(q), atol=1e-9)
