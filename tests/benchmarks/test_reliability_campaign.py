@@ -12,11 +12,12 @@ from regrasp_opt.benchmarks.faults import JOBS, Job, signal_rows
 from regrasp_opt.benchmarks.fuzz_targets import TARGETS
 from regrasp_opt.benchmarks.oracle import Resolution
 from regrasp_opt.benchmarks.reliability import Sizes, run_reliability
-from regrasp_opt.benchmarks.reliability_plans import CONDITIONS, Condition, workcells
+from regrasp_opt.benchmarks.reliability_plans import Condition, workcells
 from regrasp_opt.benchmarks.report import write_report
 from regrasp_opt.benchmarks.session import Session
 from regrasp_opt.planning.problem import RegraspProblem
 
+FEW = (Condition("20 grasps", 20), Condition("12 grasps", 12))
 WRITES = """
 import os, sys
 with open(sys.argv[1] + "/.rows", "w") as file:
@@ -38,7 +39,7 @@ def session(tmp_path, monkeypatch):
     """A campaign of two trials on the bottle, files for one reader, and one job that is soon done."""
     monkeypatch.setattr(session_module, "QUICK_GRID", Resolution(0.15, 4))
     monkeypatch.setattr(reliability, "QUICK", Sizes(1, 3, 1, 1))
-    monkeypatch.setattr(reliability, "CONDITIONS", CONDITIONS[:2])
+    monkeypatch.setattr(reliability, "CONDITIONS", FEW)
     monkeypatch.setattr(reliability, "TARGETS", {"pose": TARGETS["pose"]})
     monkeypatch.setattr(reliability, "JOBS", {"prepare": JOBS["prepare"]})
     monkeypatch.setitem(JOBS, "prepare", Job((WRITES, "{}"), 1.0))
@@ -68,7 +69,7 @@ def test_the_tables_say_what_the_rows_say_and_a_second_run_resumes(session):
     assert told["half files, runs that did not recover, other results"] == 0
 
     lines = {line["condition"]: line for line in columns(plan_table)}
-    assert list(lines) == ["all grasps", "20 grasps"]
+    assert list(lines) == ["20 grasps", "12 grasps"]
     for row in plans:
         assert lines[row["condition"]]["solved"] == row["solved"]
         assert lines[row["condition"]]["low-energy candidates"] == row["low"]
@@ -83,23 +84,23 @@ def test_the_tables_say_what_the_rows_say_and_a_second_run_resumes(session):
 def test_a_trial_without_a_plan_is_asked_of_the_oracle(session, monkeypatch):
     monkeypatch.setattr(reliability, "TARGETS", {})
     monkeypatch.setattr(reliability, "JOBS", {})
-    conditions = (Condition("all grasps"), Condition("2 grasps", 2), Condition("paper's energy", None, "paper"))
+    conditions = (Condition("20 grasps", 20), Condition("2 grasps", 2), Condition("paper's energy", 20, "paper"))
     monkeypatch.setattr(reliability, "CONDITIONS", conditions)
     monkeypatch.setattr(reliability_plans, "TIME_LIMIT", 1e-9)  # no trial that needs a regrasp has the time for it
     report = run_reliability(replace(session, seed=2))
     rows = {row["condition"]: row for row in report.rows}
     assert not any(row["solved"] for row in rows.values())
-    assert rows["all grasps"]["status"] == "time_limit" and rows["all grasps"]["minimum"] == 1
+    assert rows["20 grasps"]["status"] == "time_limit" and rows["20 grasps"]["minimum"] == 1
     assert rows["2 grasps"]["minimum"] is None  # two grasps that no pose of the grid joins
     assert "minimum" not in rows["paper's energy"]
     lost = {line["condition"]: line["false no plan"] for line in columns(report.tables[1])}
-    assert lost == {"all grasps": 1, "2 grasps": 0, "paper's energy": None}
+    assert lost == {"20 grasps": 1, "2 grasps": 0, "paper's energy": None}
 
 
 def test_an_object_that_cannot_be_prepared_is_a_row_and_the_rest_runs_on(session, tmp_path, monkeypatch):
     monkeypatch.setattr(reliability, "TARGETS", {})
     monkeypatch.setattr(reliability, "JOBS", {})
-    monkeypatch.setattr(reliability, "CONDITIONS", CONDITIONS[:1])
+    monkeypatch.setattr(reliability, "CONDITIONS", FEW[:1])
     meshes = tmp_path / "meshes"
     meshes.mkdir()
     trimesh.creation.box((0.4, 0.4, 0.4)).export(meshes / "crate.stl")  # no finger goes around it
