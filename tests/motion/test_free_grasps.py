@@ -17,7 +17,7 @@ from regrasp_opt.grasps.antipodal import FRICTION, WIDENINGS, contact_depths
 from regrasp_opt.grasps.settling import GraspSettler
 from regrasp_opt.grasps.suction import NO_SEAL
 from regrasp_opt.motion import FreeGraspOptions, solve_with_free_grasps
-from regrasp_opt.motion.free_grasp_program import STEP, ChainSolve, FreeGraspProgram, displaced
+from regrasp_opt.motion.free_grasp_program import STEP, ChainSolve, FreeGraspProgram, displaced, random_move
 from regrasp_opt.motion.free_grasps import _Search
 from regrasp_opt.planning.tasks import random_task
 
@@ -189,24 +189,34 @@ def test_where_no_chain_holds_the_planner_searches_the_grown_set(thinned, monkey
 
 def test_without_regrasps_one_free_grasp_must_do_for_both_ends(bottle_problem):
     problem = replace(bottle_problem, grasps=bottle_problem.grasps.subset([0, 1]))
-    task = next(
-        task
-        for task in (random_task(bottle_problem, np.random.default_rng(k), needs_regrasp=False) for k in range(20))
-        if not problem.feasible_grasps(task.start).any()
-    )
+    tasks = (random_task(bottle_problem, np.random.default_rng(k), needs_regrasp=False) for k in range(20))
+    task = next(task for task in tasks if not problem.feasible_grasps(task.start).any())
     plan = solve_with_free_grasps(problem, task.start, task.goal, max_regrasps=0)
     assert plan.solved and plan.num_regrasps == 0 and len(plan.problem.grasps) > 2
     assert plan.residuals().hold
 
 
-def test_free_suction_grasps_seal_as_well_as_the_sampled_ones():
-    whole = RegraspProblem.load("bottle", "nova2-s1")
-    problem = replace(whole, grasps=whole.grasps.subset([0, 1]))
-    task = random_task(whole, np.random.default_rng(1), needs_regrasp=False)
-    plan = solve_with_free_grasps(problem, task.start, task.goal, max_regrasps=0)
-    assert plan.solved and plan.residuals().hold and len(plan.problem.grasps) > 2
+def test_suction_grasps_are_drawn_from_the_surface():
+    problem = RegraspProblem.load("bottle", "nova2-s1")
     settler = GraspSettler(problem.object, problem.workcell.end_effector)
-    assert settler.worst_grade(plan.problem.grasps) <= settler.worst_grade(problem.grasps)
+    T, width = settler.anywhere(40, np.random.default_rng(0))
+    assert len(T) == 40 and (width == 0).all()
+    _, distance, face = trimesh.proximity.closest_point(problem.object.mesh, T[:, :3, 3])
+    assert distance.max() < 1e-6
+    inward = -np.einsum("ij,ij->i", T[:, :3, 2], problem.object.mesh.face_normals[face])
+    assert np.quantile(inward, 0.2) > 0.99  # but for points on an edge, which belong to two faces
+    assert len(settler.settle(T, settler.worst_grade(problem.grasps))[0]) > 5
+
+
+def test_random_moves_slide_contacts_along_the_surface():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        parallel, suction = random_move("parallel", rng), random_move("suction", rng)
+        np.testing.assert_allclose(np.abs(parallel[:3, 1]), [0.0, 1.0, 0.0], atol=1e-12)
+        np.testing.assert_allclose(suction[:3, 2], [0.0, 0.0, 1.0], atol=1e-12)
+        assert parallel[1, 3] == suction[2, 3] == 0
+        for D in (parallel, suction):
+            assert np.linalg.det(D[:3, :3]) == pytest.approx(1.0) and np.abs(D[:3, 3]).max() < 0.2
 
 
 def test_a_plan_of_the_sampled_grasps_is_returned_as_it_is(bottle_problem):
