@@ -206,3 +206,11 @@ def test_limits_of_a_joint_that_never_reaches_zero(write):
     solutions = robot.solve_ik(robot.forward([7.0, 0.4, 0.9]))
     assert len(solutions.q)
     assert (solutions.q[:, 0] >= 3.5).all()
+
+
+def test_joints_that_form_a_loop_are_refused(write):
+    joint = "<joint name='{0}{1}' type='fixed'><parent link='{0}'/><child link='{1}'/></joint>"
+    loop = "".join(joint.format(*pair) for pair in ("ab", "ba", "bt"))
+    links = "".join(f"<link name='{name}'/>" for name in ("base", "a", "b", "t"))
+    said = refusal(write(f"<robot name='arm'>{links}{loop}</robot>"), tip="t")
+    assert "the joints form a loop at link 'b'; a robot must be a tree" in said
