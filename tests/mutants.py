@@ -185,8 +185,9 @@ def main() -> None:
                 continue
             tests = reach.get(function_of(name), [])
             limit = 60 + 5 * int(sum(seconds for seconds, _ in tests))
-            code = forked(partial(run_tests, [test for _, test in tests], name), limit) if tests else 0
-            if code in (4, 5):
+            names = [test for _, test in tests]
+            code = forked(partial(run_tests, names, name), limit) if tests else 0
+            if code in (4, 5) and forked(partial(run_tests, ["--collect-only", *names]), limit) != 0:
                 raise SystemExit(f"pytest finds no test of {name}; delete {FOLDER} and run this again")
             result = "no_tests" if not tests else "survived" if code == 0 else "timeout" if code < 0 else "killed"
             results[name] = {"hash": code_hash, "result": result, "change": change}
