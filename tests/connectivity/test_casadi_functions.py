@@ -1,5 +1,6 @@
 """`E`, `Q_pair` and `J_seq` as CasADi functions: values, derivatives of their own, and the ways to put them to use."""
 
+import ctypes
 import itertools
 import subprocess
 
@@ -106,6 +107,20 @@ def test_the_planners_functions_have_the_derivatives_of_the_plain_cost(make_ener
     fast = with_derivatives(ours(x, *rest), [x])
     reference = with_derivatives(plain_sequence_cost(expressions, options, num_regrasps)(x, *rest), [x])
     for a, b in zip(fast(xi), reference(xi), strict=True):
+        np.testing.assert_allclose(np.array(a), np.array(b), atol=1e-10)
+
+
+def test_the_planners_functions_take_blocked_grasps_as_an_input(make_problem_energy):
+    energy, ends, xi = make_problem_energy()
+    blocked = np.random.default_rng(7).random((2, 12)) < 0.4
+    given = energy.casadi_functions(placements=PLACEMENTS, start=ends[:, 0], goal=ends[:, 1], blocked=blocked)
+    ours = parametric_functions(CasadiEnergy(energy.model, 12), CostOptions(), 2, blocking=True)
+    assert ours.J_seq.name_in() == ["xi", "layers", "blocked", "start", "goal"]
+    rest = [layers_parameter(energy, energy.placements[PLACEMENTS]), blocked.T, *ends.T]
+    x = ca.MX.sym("xi", 3, 2)
+    found = with_derivatives(ours.J_seq(x, *rest) + ca.sumsqr(ours.Q_pair(x, *rest)), [x])
+    expected = with_derivatives(given.J_seq(x) + ca.sumsqr(given.Q_pair(x)), [x])
+    for a, b in zip(found(xi), expected(xi), strict=True):
         np.testing.assert_allclose(np.array(a), np.array(b), atol=1e-10)
 
 
@@ -251,16 +266,22 @@ def test_functions_are_saved_loaded_and_mapped_with_their_derivatives(make_probl
         np.testing.assert_allclose(np.array(hessian), np.array(ca.diagcat(*[part[2] for part in parts])), atol=1e-12)
 
 
-def test_generated_c_of_values_and_derivatives_needs_no_library(make_problem_energy, tmp_path, monkeypatch):
+@pytest.mark.parametrize("over", ["planar", "pose"])
+def test_generated_c_of_values_and_derivatives_needs_no_library(make_problem_energy, tmp_path, monkeypatch, over):
     energy, ends, xi = make_problem_energy()
-    J_seq = energy.casadi_functions(placements=PLACEMENTS, start=ends[:, 0], goal=ends[:, 1], blas="reference").J_seq
-    x = ca.MX.sym("xi", 3, 2)
-    function = with_derivatives(J_seq(x), [x])
+    arguments = {"start": ends[:, 0], "goal": ends[:, 1], "blas": "reference"}
+    if over == "planar":
+        x, numbers, functions = ca.MX.sym("xi", 3, 2), xi, energy.casadi_functions(placements=PLACEMENTS, **arguments)
+    else:
+        x, numbers = ca.MX.sym("T", 4, 8), np.hstack(planar_transform(xi.T) @ energy.placements[PLACEMENTS])
+        functions = energy.casadi_pose_functions(num_poses=2, **arguments)
+    function = with_derivatives(functions.J_seq(x), [x])
     monkeypatch.chdir(tmp_path)
     function.generate("f.c")
     subprocess.run(["cc", "-shared", "-fPIC", "-O1", "-o", "f.so", "f.c", "-lm"], check=True)
+    ctypes.CDLL(str(tmp_path / "f.so"))  # fails on a missing symbol; a call of one would end the process
     compiled = ca.external("f", str(tmp_path / "f.so"))
-    for a, b in zip(compiled(xi), function(xi), strict=True):
+    for a, b in zip(compiled(numbers), function(numbers), strict=True):
         np.testing.assert_allclose(np.array(a), np.array(b), atol=1e-12)
 
 
