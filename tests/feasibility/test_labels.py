@@ -108,6 +108,22 @@ def test_one_and_two_workers_give_the_same(task, labelled, tmp_path):
     assert one.feasible.shape == (9, len(task.grasps))
 
 
+def test_no_pose_is_drawn_twice_however_many_blocks_it_takes(task, tmp_path, monkeypatch):
+    monkeypatch.setattr(dataset, "POSES_PER_BLOCK", 8)
+    pairs = label_pairs(task, 700, folder=tmp_path, jobs=1)
+    blocks = len(pairs) // (8 * dataset.GRASPS_PER_POSE)
+    assert blocks >= 5
+    assert len(np.unique(pairs.T.reshape(-1, 16), axis=0)) == 8 * blocks
+
+
+@pytest.mark.parametrize("count", [1, 3, 10])
+def test_a_few_poses_are_labelled_for_every_grasp(task, count):
+    labelled = label_poses(task, count, jobs=1)
+    checker = FeasibilityChecker(task.model, task.workcell, task.grasps)
+    assert labelled.feasible.dtype == bool
+    np.testing.assert_array_equal(labelled.feasible, [checker.feasible(T) for T in labelled.T])
+
+
 def test_progress_ends_at_what_was_wanted(task, tmp_path):
     seen = []
     label_pairs(task, 50, folder=tmp_path, jobs=1, progress=lambda done, of: seen.append((done, of)))
@@ -127,6 +143,9 @@ def test_more_pairs_than_memory_are_refused_before_and_while_they_are_drawn(task
     with pytest.raises(OptionError, match=r"1000000000000 samples need about .* ask for fewer samples"):
         label_pairs(task, 10**12, folder=tmp_path, jobs=1)
     assert not list(tmp_path.iterdir())
+    monkeypatch.setattr(dataset, "machine_memory", lambda: 8.0 * 2**30)
+    with pytest.raises(OptionError, match=r"need about 23.3 GB of memory, and this machine has 8 GB"):
+        label_pairs(task, 10**7, folder=tmp_path, jobs=1)
     monkeypatch.setattr(dataset, "machine_memory", lambda: 20_000.0 * dataset.BYTES_PER_PAIR)
     assert len(label_pairs(task, 50, folder=tmp_path, jobs=1)) == 5000
     with pytest.raises(OptionError, match="samples need about"):  # about one pair in three is feasible
