@@ -14,6 +14,7 @@ from regrasp_opt.feasibility.geometry import mesh_geometry, shape_geometry
 from regrasp_opt.feasibility.tabletop import _extreme, points_in_table, wrist_bodies
 from regrasp_opt.grasps import sample_grasps
 from regrasp_opt.objects import load_object
+from regrasp_opt.robots import load_robot
 from regrasp_opt.workcell import load_workcell
 from regrasp_opt.workcell.model import Table
 
@@ -71,6 +72,48 @@ def test_bodies_round_about_the_last_joint_belong_to_the_wrist():
                     np.testing.assert_allclose((flange @ T)[:3, 3], world[:3, 3], atol=1e-9)
                     np.testing.assert_allclose(abs((flange @ T)[:3, 2] @ world[:3, 2]), 1.0, atol=1e-9)
     assert not np.allclose(before, robot.forward(q))
+
+
+QUARTER = np.pi / 2
+BEFORE_THE_LAST_JOINT = [
+    ("<sphere radius='0.01'/>", "0.3 0 0", "0 0 0"),
+    ("<sphere radius='0.02'/>", "0.3 0 0.2", "0 0 0"),
+    ("<cylinder radius='0.03' length='0.3'/>", "0.1 0 0.2", f"0 {QUARTER} 0"),
+    ("<cylinder radius='0.04' length='0.3'/>", "0.1 0 0.2", "0 0 0"),
+    ("<cylinder radius='0.05' length='0.3'/>", "0.1 0 0.2", f"{QUARTER} 0 0"),
+    ("<cylinder radius='0.06' length='0.3'/>", "0.1 0.05 0.2", f"0 {QUARTER} 0"),
+    ("<box size='0.14 0.14 0.14'/>", "0.1 0 0.2", "0 0 0"),
+]
+"""Bodies, of which the second and the third are round about an axis along x at z = 0.2."""
+
+
+def arm_urdf(last):
+    """Return a URDF with joints about y and z, and one of the kind `last` along x, 0.2 above the joint before."""
+    shapes = [
+        f"<collision><origin xyz='{xyz}' rpy='{rpy}'/><geometry>{shape}</geometry></collision>"
+        for shape, xyz, rpy in BEFORE_THE_LAST_JOINT
+    ]
+    tool = "<collision><geometry><box size='0.16 0.16 0.16'/></geometry></collision>"
+    contents = ["", "", "".join(shapes), tool]
+    links = [f"<link name='link{i}'>{content}</link>" for i, content in enumerate(contents)]
+    joints = [
+        f"<joint name='joint{i}' type='{kind}'><parent link='link{i}'/><child link='link{i + 1}'/>"
+        f"<origin xyz='0 0 0.2'/><axis xyz='{axis}'/><limit lower='-3' upper='3' velocity='1' effort='1'/></joint>"
+        for i, (kind, axis) in enumerate([("revolute", "0 1 0"), ("revolute", "0 0 1"), (last, "1 0 0")])
+    ]
+    return "".join(["<robot name='arm'>", *links, *joints, "</robot>"])
+
+
+@pytest.mark.parametrize(
+    ("last", "radii"), [("revolute", [0.02, 0.03, 0.08]), ("prismatic", [0.08])], ids=["turning", "sliding"]
+)
+def test_no_body_belongs_to_the_wrist_that_the_last_joint_would_move(last, radii, tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(arm_urdf(last))
+    found = [
+        getattr(geometry, "radius", None) or geometry.halfSide[0] for geometry, _ in wrist_bodies(load_robot(path))
+    ]
+    np.testing.assert_allclose(sorted(found), radii)
 
 
 def heights(geometry, T):
