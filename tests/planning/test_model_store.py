@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import time
 
 import numpy as np
 import pytest
@@ -18,14 +19,14 @@ SMALL = {"samples": 300, "num_grasps": 25, "jobs": 1}
 
 @pytest.fixture(scope="module")
 def prepared(tmp_path_factory):
-    """Return the folder and the report of a small model of the pentagon, and the progress it told."""
-    told = []
+    """Return the folder and the report of a small model of the pentagon, the progress it told, and the seconds."""
+    told, began = [], time.perf_counter()
     out = tmp_path_factory.mktemp("models") / "pentagon"
     folder, report = prepare(
         load_object("pentagon"), load_workcell("nova2-w"), out=out, progress=lambda *step: told.append(step), **SMALL
     )
     assert folder == out
-    return folder, report, told
+    return folder, report, told, time.perf_counter() - began
 
 
 @pytest.fixture
@@ -47,7 +48,7 @@ def refusal(folder, error=ModelError):
 
 
 def test_prepare_writes_a_model_and_says_how_good_it_is(prepared):
-    folder, report, told = prepared
+    folder, report, told, seconds = prepared
     assert {path.name for path in folder.iterdir()} == FILES
     assert json.loads((folder / "report.json").read_text("utf-8")) == {"format": 1, **report}
     assert report["object"] == "pentagon" and report["workcell"] == "nova2-w"
@@ -57,6 +58,8 @@ def test_prepare_writes_a_model_and_says_how_good_it_is(prepared):
         assert 0.5 < figures["average_precision"] <= 1 and 0.3 < figures["f1"] <= 1
         assert np.isfinite(report["threshold"][preset])
     assert "regrasp-opt prepare pentagon --workcell nova2-w" in report["command"]
+    assert set(report["times"]) == {"grasps", "labelling", "training"}
+    assert min(report["times"].values()) > 0 and sum(report["times"].values()) <= seconds
     assert told[0] == ("sampling grasps", 0, 1)
     assert ("labelling", 300, 300) in told and told[-1] == ("training", 2, 2)
 

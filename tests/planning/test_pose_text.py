@@ -68,6 +68,19 @@ def test_what_is_no_pose_is_refused(text):
     assert "start" in str(info.value)
 
 
+def test_text_that_is_no_pose_is_told_from_a_file_that_is_not_there(tmp_path):
+    with pytest.raises(PoseError, match=r"'upright' is no pose; write it like 2:0\.30,0\.25,45 or name a JSON file"):
+        parse_pose("upright", "start", PLACEMENTS)
+    with pytest.raises(PoseError, match=r"cannot read the goal from '.*start\.json': No such file"):
+        parse_pose(str(tmp_path / "start.json"), "goal", PLACEMENTS)
+
+
+def test_a_file_of_any_name_may_hold_a_pose(tmp_path):
+    for name in ("pose.txt", "pose"):
+        (tmp_path / name).write_text(json.dumps(PLACEMENTS[1].tolist()), encoding="utf-8")
+        np.testing.assert_array_equal(parse_pose(str(tmp_path / name), "start", PLACEMENTS), PLACEMENTS[1])
+
+
 @STEADY
 @given(st.text(max_size=300))
 @example("0:0,0,0\n")

@@ -58,9 +58,13 @@ def test_ends_that_cannot_be_are_refused(bottle_problem, ends, monkeypatch):
         bottle_problem.nlp(floating, ends[1])
     with pytest.raises(OptionError, match="give placements"):
         bottle_problem.nlp("input", ends[1])
-    with pytest.raises(OptionError, match="give at least 1"):
-        bottle_problem.nlp(*ends, num_regrasps=0)
     nothing = np.zeros(len(bottle_problem.grasps), dtype=bool)
     monkeypatch.setattr(type(bottle_problem), "feasible_grasps", lambda self, T: nothing)
     with pytest.raises(PoseError, match="no grasp is feasible at the start pose"):
         bottle_problem.nlp(*ends)
+
+
+@pytest.mark.parametrize("count", [0, -1, 1.5, True, None, "2"])
+def test_the_number_of_poses_is_a_whole_one(bottle_problem, ends, count):
+    with pytest.raises(OptionError, match=f"the program has {count} intermediate poses; give at least 1"):
+        bottle_problem.nlp(*ends, num_regrasps=count)
