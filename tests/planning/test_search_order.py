@@ -102,6 +102,7 @@ def test_the_papers_recipe_accepts_the_cheapest_below_the_threshold_and_proves_i
     monkeypatch.undo()
     plan = solve_sequence(bottle_problem, task.start, task.goal, recipe, max_regrasps=3)
     assert plan.solved and plan.refiner_stats[-1]["accepted"] >= 0
+    assert plan.num_regrasps == plan.refiner_stats[-1]["num_regrasps"] and plan.residuals().hold
     never = solve_sequence(bottle_problem, task.start, task.goal, recipe, max_regrasps=3, accept=lambda _: False)
     assert never.status is Status.NOT_FOUND and len(never.refiner_stats) == len(plan.refiner_stats)
     strict = replace(bottle_problem)

@@ -51,6 +51,12 @@ def test_an_end_may_be_a_parameter_or_energies(bottle_problem, ends, plan):
     assert bottle_problem.nlp(energies, ends[1], **arguments).solve().f == pytest.approx(whole, abs=1e-6)
 
 
+def test_without_a_guess_poses_start_at_the_centre_of_the_workspace(bottle_problem, ends):
+    nlp = bottle_problem.nlp("input", ends[1], placements=[0, 3])
+    center = bottle_problem.workcell.bounds.array.mean(axis=0)
+    np.testing.assert_allclose(nlp.arguments["x0"], [*center, 0.0, *center, 0.0])
+
+
 def test_ends_that_cannot_be_are_refused(bottle_problem, ends, monkeypatch):
     floating = ends[0].copy()
     floating[2, 3] += 0.1
