@@ -96,7 +96,7 @@ def compute_residuals(plan: RegraspPlan) -> Residuals:
     problems: list[str] = []
     if plan.solved and len(plan.transitions) != len(plan.poses) - 1:
         problems.append(f"the plan has {len(plan.poses)} poses but {len(plan.transitions)} transitions")
-    problems += _end_violations(plan)
+    problems += _end_violations(plan) + _edge_violations(plan)
     placement_error = _placement_errors(plan, problems)
     transitions = []
     for i, transition in enumerate(plan.transitions):
@@ -119,6 +119,18 @@ def _end_violations(plan: RegraspPlan) -> list[str]:
         low, high = cell.bounds.array
         if (center < low - PLACEMENT_TOLERANCE).any() or (center > high + PLACEMENT_TOLERANCE).any():
             texts.append(f"the {name} lies outside the workspace")
+    return texts
+
+
+def _edge_violations(plan: RegraspPlan) -> list[str]:
+    """Return at which poses the object touches the table beyond its edges."""
+    vertices, table = plan.problem.object.vertices, plan.problem.workcell.table
+    texts = []
+    for i, T in enumerate(plan.poses):
+        points = vertices @ T[:3, :3].T + T[:3, 3]
+        touching = points[points[:, 2] - table.height <= RESTING_TOLERANCE - PLACEMENT_TOLERANCE, :2]
+        if (np.abs(touching - table.center) > table.size / 2 + PLACEMENT_TOLERANCE).any():
+            texts.append(f"the object stands over the edge of the table at pose {i}")
     return texts
 
 

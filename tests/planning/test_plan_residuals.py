@@ -1,5 +1,6 @@
 """The proof of a plan: true plans hold, and every kind of false claim is found and named."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from regrasp_opt import RegraspProblem, solve_sequence
 from regrasp_opt.planning.tasks import random_task
+from regrasp_opt.workcell import Table
 
 
 @pytest.mark.parametrize("name", ["bottle", "mug", "pentagon", "figurine"])
@@ -95,13 +97,32 @@ def test_a_pose_that_is_no_placement_or_outside(plan):
     off, unknown = plan.xi.copy(), plan.placements.copy()
     off[0, 0] += 0.01
     unknown[0] = 99
-    assert any("away from stable placement" in text for text in replace(plan, xi=off).residuals().problems)
-    assert any("does not exist" in text for text in replace(plan, placements=unknown).residuals().problems)
+    assert any(
+        re.fullmatch("pose 1 is .* away from stable placement .*", text)
+        for text in replace(plan, xi=off).residuals().problems
+    )
+    assert "pose 1 names placement 99, which does not exist" in replace(plan, placements=unknown).residuals().problems
     outside, poses = plan.xi.copy(), plan.poses.copy()
     outside[0, 0] += 1.0
     poses[1, 0, 3] += 1.0
-    problems = replace(plan, xi=outside, poses=poses).residuals().problems
-    assert any("lies outside the workspace" in text for text in problems)
+    assert "pose 1 lies outside the workspace" in replace(plan, xi=outside, poses=poses).residuals().problems
+
+
+@pytest.mark.parametrize("i", [0, 1, 2])
+def test_an_object_over_the_edge_of_the_table(plan, i):
+    T, body, cell = plan.poses[i], plan.problem.object, plan.problem.workcell
+    vertices = body.vertices @ T[:3, :3].T + T[:3, 3]
+
+    def refused(points, margin):
+        """Whether the pose is refused on a table that reaches `margin` beyond `points`."""
+        low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
+        table = Table(0.0, (low + high) / 2, high - low, cell.table.thickness)
+        problem = replace(plan.problem, workcell=replace(cell, table=table))
+        texts = replace(plan, problem=problem, transitions=()).residuals().problems
+        return f"the object stands over the edge of the table at pose {i}" in texts
+
+    assert refused(vertices[vertices[:, 2] < 1e-6, :2], -1e-4)
+    assert not refused(vertices[:, :2], 1e-4)
 
 
 def test_a_missing_transition(plan):
