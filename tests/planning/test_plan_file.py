@@ -169,6 +169,17 @@ def test_wrong_content_is_named(name, plan_content, tmp_path):
     assert re.search(said, message), message
 
 
+def test_a_transition_without_grasps_is_read_and_refused_by_the_proof(plan_content, tmp_path):
+    content = copy.deepcopy(plan_content)
+    content["transitions"][0] = {"grasp_ids": [], "q_pick": [], "q_place": [], "clearance": []}
+    path = tmp_path / "plan.json"
+    path.write_text(json.dumps(content), encoding="utf-8")
+    plan = RegraspPlan.load(path)
+    empty = plan.transitions[0]
+    assert empty.grasp_ids.dtype.kind == "i" and empty.q_pick.shape == empty.q_place.shape == (0, 6)
+    assert plan.residuals().problems == ("transition 0: no grasp is shared by its two poses",)
+
+
 @pytest.mark.parametrize("field", ["object", "workcell"])
 def test_an_unknown_object_or_workcell_lists_the_known_ones(field, plan_content, tmp_path):
     content = copy.deepcopy(plan_content)

@@ -59,11 +59,30 @@ def test_no_grasp_is_feasible_for_an_object_in_the_table(bottle_problem):
 
 
 @pytest.mark.parametrize("end", [0, -1])
-def test_residuals_see_that_an_end_hovers(plan, end):
+@pytest.mark.parametrize(("gap", "refused"), [(0.1, True), (0.0011, True), (0.0009, False), (-0.0011, True)])
+def test_residuals_see_that_an_end_hovers_or_sinks(plan, end, gap, refused):
     poses = plan.poses.copy()
-    poses[end, 2, 3] += 0.1
-    texts = dataclasses.replace(plan, poses=poses).residuals().problems
-    assert any(f"does not touch the table at the {('start', 'goal')[end]}" in text for text in texts)
+    poses[end, 2, 3] += gap
+    texts = dataclasses.replace(plan, poses=poses, transitions=()).residuals().problems
+    assert any(f"does not touch the table at the {('start', 'goal')[end]}" in text for text in texts) == refused
+
+
+@pytest.mark.parametrize("end", [0, -1])
+@pytest.mark.parametrize("axis", ["x", "y"])
+@pytest.mark.parametrize("side", [0, 1])
+def test_residuals_see_that_an_end_lies_outside_the_workspace(plan, end, axis, side):
+    T, cell = plan.poses[end], plan.problem.workcell
+    center = (T[:3, :3] @ plan.problem.object.center_of_mass + T[:3, 3])["xy".index(axis)]
+
+    def refused(beyond):
+        limits = [-1.0, 1.0]
+        limits[side] = center + beyond * (1, -1)[side]
+        bounds = dataclasses.replace(cell.bounds, **{axis: tuple(limits)})
+        problem = dataclasses.replace(plan.problem, workcell=dataclasses.replace(cell, bounds=bounds))
+        texts = dataclasses.replace(plan, problem=problem, transitions=()).residuals().problems
+        return f"the {('start', 'goal')[end]} lies outside the workspace" in texts
+
+    assert refused(1e-5) and not refused(-1e-5)
 
 
 def test_grasps_of_unknown_origin_are_checked(bottle_problem):
