@@ -53,6 +53,7 @@ def test_an_end_may_be_a_parameter_or_energies(bottle_problem, ends, plan):
 
 def test_without_a_guess_poses_start_at_the_centre_of_the_workspace(bottle_problem, ends):
     nlp = bottle_problem.nlp("input", ends[1], placements=[0, 3])
+    nlp.set_parameter("start", np.zeros(len(bottle_problem.grasps)))
     center = bottle_problem.workcell.bounds.array.mean(axis=0)
     np.testing.assert_allclose(nlp.arguments["x0"], [*center, 0.0, *center, 0.0])
 
