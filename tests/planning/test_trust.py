@@ -1,6 +1,7 @@
 """What must not slip through: objects that cannot stay where they are put, grasps of unknown origin, threads."""
 
 import dataclasses
+import shlex
 import sys
 import threading
 
@@ -9,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from regrasp_opt import GraspSet, RegraspPlan, RegraspProblem, load_workcell, solve_sequence
-from regrasp_opt.errors import GraspError, PoseError, UnknownNameError
+from regrasp_opt.errors import GraspError, ModelError, PoseError, UnknownNameError
 from regrasp_opt.feasibility.standing import resting_problem, standing_problem
 from regrasp_opt.planning.tasks import random_task
 from regrasp_opt.workcell import Table
@@ -110,6 +111,17 @@ def test_a_plan_with_another_end_effector_can_be_loaded_again(tmp_path, bottle_p
     assert loaded.residuals().hold
     assert loaded.problem.workcell.end_effector.name == "r140"
     assert load_workcell("nova2-w", end_effector="r140").name == "nova2-w"
+
+
+def test_the_command_that_prepares_a_missing_model_says_all_that_differs(bottle_problem, tmp_path):
+    path = tmp_path / "my bottle.stl"
+    bottle_problem.object.mesh.export(path)
+    problem = RegraspProblem.load(path, "nova2-w", end_effector="r140", scale=0.9, repair=True)
+    with pytest.raises(ModelError) as info:
+        _ = problem.energy
+    command = str(info.value).split("run '", 1)[1].removesuffix("'")
+    words = ["--workcell", "nova2-w", "--end-effector", "r140", "--scale", "0.9", "--repair"]
+    assert shlex.split(command) == ["regrasp-opt", "prepare", str(path), *words]
 
 
 def test_an_unknown_preset_is_named():
