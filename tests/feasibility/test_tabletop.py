@@ -5,6 +5,7 @@ from dataclasses import replace
 import coal
 import numpy as np
 import pytest
+import trimesh
 from transforms import random_transforms
 
 from regrasp_opt.connectivity import TableRule
@@ -15,6 +16,7 @@ from regrasp_opt.feasibility.tabletop import _extreme, points_in_table, wrist_bo
 from regrasp_opt.grasps import sample_grasps
 from regrasp_opt.objects import load_object
 from regrasp_opt.robots import load_robot
+from regrasp_opt.shapes import Mesh, surface_points
 from regrasp_opt.workcell import load_workcell
 from regrasp_opt.workcell.model import Table
 
@@ -149,6 +151,27 @@ def test_grasps_with_a_body_as_low_as_the_table_have_a_point_and_no_others(name,
             within.append(bottom < high + clearance and top >= low - 1e-12)
         assert np.isfinite(points[s, g]).all() == any(within)
     assert 0.1 < np.isfinite(points).mean() < 0.95
+
+
+@pytest.mark.parametrize("thickness", [0.05, 0.004])
+def test_a_mesh_of_the_gripper_is_in_the_table_where_its_lowest_point_is(thickness):
+    """What lies between the lowest and the highest point of a mesh may be hollow."""
+    cell, model = load_workcell("nova2-s1"), load_object("mug")
+    tower = trimesh.creation.box((0.12, 0.08, 0.1))
+    body = Mesh("tower", np.array(tower.vertices), np.array(tower.faces), translation(0.0, 0.0, 0.05))
+    effector = replace(cell.end_effector, body=(body,))
+    cell = replace(cell, end_effector=effector, table=Table(0.03, cell.table.center, cell.table.size, thickness))
+    grasps = sample_grasps(model, load_workcell("nova2-s1").end_effector, 12, seed=3)
+    raised = np.array([translation(0.1, 0.0, z) @ p.pose for p in model.placements for z in (-0.1, 0.0, 0.06)])
+    T_world_flange = raised[:, None] @ grasps.T_object_tcp @ effector.T_tcp_flange
+    corners = np.einsum("sgij,pj->sgpi", T_world_flange[..., :3, :3], surface_points(body))
+    corners += T_world_flange[..., None, :3, 3]
+    lowest = corners[..., 2].min(axis=2)
+    expected = (lowest >= 0.03 - thickness) & (lowest < 0.03 + cell.clearance.gripper)
+    alone = np.isnan(points_in_table(replace(cell, end_effector=replace(effector, body=())), grasps, raised)[..., 0])
+    found = np.isfinite(points_in_table(cell, grasps, raised)).all(axis=2)
+    assert 0 < expected[alone].mean() < 1  # where the wrist is above the table
+    np.testing.assert_array_equal(found, expected | ~alone)
 
 
 @pytest.mark.parametrize(
