@@ -119,7 +119,18 @@ def _end_violations(plan: RegraspPlan) -> list[str]:
         low, high = cell.bounds.array
         if (center < low - PLACEMENT_TOLERANCE).any() or (center > high + PLACEMENT_TOLERANCE).any():
             texts.append(f"the {name} lies outside the workspace")
+        points = body.vertices @ T[:3, :3].T + T[:3, 3]
+        touching = points[points[:, 2] - cell.table.height <= RESTING_TOLERANCE + PLACEMENT_TOLERANCE, :2]
+        if len(touching) and _leans_out(touching - center):
+            texts.append(f"the object would tip over at the {name}")
     return texts
+
+
+def _leans_out(points: FloatArray) -> bool:
+    """Return whether all `points` (S, 2) lie on one side of a line through the origin, by more than rounding."""
+    angles = np.sort(np.arctan2(points[:, 1], points[:, 0]))
+    gaps = np.diff(np.append(angles, angles[0] + 2 * np.pi))
+    return bool(gaps.max() > np.pi + 1e-6)
 
 
 def _edge_violations(plan: RegraspPlan) -> list[str]:

@@ -69,6 +69,19 @@ def test_residuals_see_that_an_end_hovers_or_sinks(plan, end, gap, refused):
 
 
 @pytest.mark.parametrize("end", [0, -1])
+@pytest.mark.parametrize(("share", "refused"), [(0.99, False), (1.01, True)])
+def test_residuals_see_that_an_end_tips_over(plan, monkeypatch, end, share, refused):
+    body, T = plan.problem.object, plan.poses[end]
+    points = body.vertices @ T[:3, :3].T + T[:3, 3]
+    center = T[:3, :3] @ body.center_of_mass + T[:3, 3]
+    corner = points[points[:, 2].argmin()]  # of what it stands on
+    center[:2] += share * (corner - center)[:2]
+    monkeypatch.setitem(vars(body), "center_of_mass", T[:3, :3].T @ (center - T[:3, 3]))
+    texts = dataclasses.replace(plan, transitions=()).residuals().problems
+    assert (f"the object would tip over at the {('start', 'goal')[end]}" in texts) == refused
+
+
+@pytest.mark.parametrize("end", [0, -1])
 @pytest.mark.parametrize("axis", ["x", "y"])
 @pytest.mark.parametrize("side", [0, 1])
 def test_residuals_see_that_an_end_lies_outside_the_workspace(plan, end, axis, side):
