@@ -68,6 +68,7 @@ def as_pose(T: Any, name: str = "pose") -> FloatArray:
     rotation = matrix[:3, :3]
     if (
         not np.allclose(matrix[3], (0, 0, 0, 1), atol=1e-9)
+        or np.abs(rotation).max() > 1 + RIGID_TOLERANCE
         or np.abs(rotation.T @ rotation - np.eye(3)).max() > RIGID_TOLERANCE
     ):
         raise PoseError(f"the {name} is not a rigid transform; give an orthonormal rotation and last row 0 0 0 1")

@@ -61,12 +61,13 @@ def read_triangles(path: Path) -> tuple[FloatArray, IntArray]:
 
 @contextmanager
 def quiet_trimesh() -> Iterator[None]:
-    """Keep off the screen what trimesh logs about a broken mesh, tracebacks among it; it raises exceptions as well."""
+    """Keep off the screen what trimesh logs, and NumPy warns of, about a broken mesh; it raises exceptions as well."""
     logger, silent = logging.getLogger("trimesh"), logging.NullHandler()
     before, logger.propagate = logger.propagate, False
     logger.addHandler(silent)
     try:
-        yield
+        with np.errstate(all="ignore"):
+            yield
     finally:
         logger.removeHandler(silent)
         logger.propagate = before

@@ -3,7 +3,7 @@
 Readers are run in a process of their own, because the parsers below them are C++ and a crash there ends the process.
 That process says after each file how it went; one that falls silent for `SILENCE` seconds is ended by its own watchdog,
 one that dies is started again behind the file that killed it. Cases have numbers instead of coming from Hypothesis: a
-run resumes behind the last one that was read, and each is made again from its number alone.
+run resumes behind the last batch, and each is made again from the reader's name and its number.
 """
 
 from __future__ import annotations
@@ -118,7 +118,8 @@ def _outcome(read: Any, path: Path) -> str:
 
 def _raised(read: Any, path: Path) -> str:
     try:
-        with contextlib.redirect_stdout(None):
+        with contextlib.redirect_stdout(None), warnings.catch_warnings():
+            warnings.simplefilter("error", RuntimeWarning)  # arithmetic that breaks down, and text on stderr
             read(path)
     except RegraspError:
         return REFUSED

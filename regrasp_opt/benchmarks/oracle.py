@@ -137,7 +137,7 @@ def build_oracle(
     Blocks are kept in the data folder. One that cannot be read is reported and made again.
     """
     numbers, xi = grid_poses(len(problem.placements), problem.workcell.bounds.array, resolution)
-    key = content_hash("oracle-1", problem_key(problem), xi, numbers)[:32]
+    key = content_hash("oracle-2", problem_key(problem), xi, numbers)[:32]
     folder = data_home() / "oracle" / key
     firsts = range(0, len(numbers), BLOCK)
     sizes = [min(BLOCK, len(numbers) - first) for first in firsts]

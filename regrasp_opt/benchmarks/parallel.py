@@ -10,6 +10,7 @@ from typing import Any
 import joblib
 
 from regrasp_opt.errors import OptionError
+from regrasp_opt.workers import workers
 
 
 def in_parallel(work: Iterable[Any], jobs: int) -> Iterator[Any]:
@@ -22,7 +23,7 @@ def in_parallel(work: Iterable[Any], jobs: int) -> Iterator[Any]:
     """
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="A worker stopped")  # joblib replaces workers that have grown
-        with joblib.Parallel(n_jobs=jobs, return_as="generator_unordered") as parallel:
+        with workers(jobs, "generator_unordered") as parallel:
             yield from parallel(work)
 
 

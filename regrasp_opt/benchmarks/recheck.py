@@ -18,6 +18,7 @@ from typing import Any
 
 import coal
 import numpy as np
+from scipy.optimize import nnls
 
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.errors import OptionError
@@ -31,6 +32,8 @@ else:
 DATA = Path(str(files("regrasp_opt"))) / "data"
 TOLERANCE = 1e-4
 """How far a distance may fall short of its clearance [m]."""
+RESTS = 1e-3
+"""How far above the table the object may be where it touches it [m]."""
 MISS = 2e-6
 """Largest entry of the difference between the tool pose that is reached and the one wanted [m or 1]."""
 
@@ -176,6 +179,7 @@ class Recheck:
         self.cell, self.grasps = _Cell(cell.name, cell.source, cell.end_effector_override), problem.grasps
         self.placements = [placement.pose for placement in problem.placements]
         self.vertices = np.array(problem.object.mesh.vertices)
+        self.center_of_mass = np.array(problem.object.mesh.center_mass)
         self.mesh = coal.BVHModelOBBRSS()
         faces = np.array(problem.object.mesh.faces, dtype=np.int64)
         self.mesh.beginModel(len(faces), len(self.vertices))
@@ -203,12 +207,25 @@ class Recheck:
     def pose_problems(self, T: FloatArray) -> Iterator[str]:
         """Yield what keeps the object from standing at `T` (4, 4)."""
         lowest = (self.vertices @ T[2, :3] + T[2, 3]).min() - self.cell.height
-        if abs(lowest) > 1e-3:
+        if abs(lowest) > RESTS:
             yield f"it is {lowest:.4f} m above the table"
+        yield from self._support_problems(T, lowest)
         base = [(shape, self.cell.T_world_base @ placement) for link, shape, placement in self.cell.bodies if link == 0]
         for what, bodies in (("the robot's base", base), ("an obstacle", self.cell.obstacles)):
             if any(distance((self.mesh, T), body) <= 0 for body in bodies):
                 yield f"it overlaps {what}"
+
+    def _support_problems(self, T: FloatArray, lowest: float) -> Iterator[str]:
+        """Yield whether the object stands beyond the table's edge, or its centre of mass beyond what it stands on."""
+        points, table = self.vertices @ T[:3, :3].T + T[:3, 3], self.cell.content["table"]
+        support = points[points[:, 2] - self.cell.height <= max(lowest + MISS, RESTS), :2]
+        beyond = np.abs(support - table["center"]) - np.array(table["size"]) / 2
+        if beyond.max() > MISS:
+            yield "it stands over the edge of the table"
+        center = T[:3, :3] @ self.center_of_mass + T[:3, 3]
+        weights = np.vstack([support.T, np.ones(len(support))])
+        if nnls(weights, np.array([*center[:2], 1.0]))[1] > MISS:  # no mean of these points
+            yield "it would tip over"
 
     def is_stable_and_inside(self, T: FloatArray) -> bool:
         """Return whether `T` (4, 4) is a stable placement moved within the workspace."""

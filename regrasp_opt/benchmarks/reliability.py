@@ -157,7 +157,8 @@ def _fuzz_items(session: Session, sizes: Sizes) -> list[Item]:
             count = min(FILES_AT_A_TIME, sizes.files - first)
             columns: Row = {"part": "files", "reader": name}
             arguments = (name, session.seed, first, count)
-            items.append(Item(f"fuzz/{name}/{first}", content_hash("fuzz", *arguments), fuzz_rows, arguments, columns))
+            depends = content_hash("fuzz-2", *arguments)
+            items.append(Item(f"fuzz/{name}/{first}", depends, fuzz_rows, arguments, columns))
     return items
 
 

@@ -154,6 +154,7 @@ def _fault_table(rows: Sequence[Row]) -> Table:
             _total(here, "half_files"),
             _total(here, "failed") if "failed" in here[0] else None,
             _total(here, "different") if "different" in here[0] else None,
+            _total(here, "tracebacks") if "tracebacks" in here[0] else None,
             here[0].get("slowest"),
             here[0].get("codes"),
         )
@@ -162,7 +163,17 @@ def _fault_table(rows: Sequence[Row]) -> Table:
     examples = "; ".join(str(row["examples"]) for row in _of(rows, "faults") if row.get("examples"))
     return Table(
         "Killed and interrupted commands",
-        ("command", "signal", "times", "half files", "not recovered", "other results", "slowest end [s]", "exit codes"),
+        (
+            "command",
+            "signal",
+            "times",
+            "half files",
+            "not recovered",
+            "other results",
+            "tracebacks",
+            "slowest end [s]",
+            "exit codes",
+        ),
         lines,
         examples or "After a kill every file is opened; in the end the results equal those of a run left alone.",
     )

@@ -21,4 +21,5 @@ def main() -> None:
         code = interrupts.conclude()
     if interrupts.received():
         interrupts.leave(code)
+    interrupts.let_go()
     sys.exit(code)

@@ -58,7 +58,7 @@ PlanArgument = Annotated[Path, typer.Argument(metavar="PLAN", help="A plan file.
 def run(arguments: list[str]) -> int:
     """Run the command line on `arguments` and return the exit code."""
     began = time.perf_counter()
-    if any(not word or (word.startswith("--") and word.endswith("=")) for word in arguments):
+    if any(not word or (word.startswith("--") and word.find("=") == len(word) - 1) for word in arguments):
         return _fail("an argument is empty, perhaps because a variable is not set; give it a value, or leave it out")
     try:
         result = app(args=arguments, standalone_mode=False)
@@ -217,8 +217,8 @@ def motion(
     csv: Annotated[Path | None, typer.Option(help="Save joint positions and velocities over time as CSV.")] = None,
     step: Annotated[float, typer.Option(help="Seconds between rows of the CSV.")] = 0.01,
     scene: Annotated[Path | None, typer.Option(help="Folder for the scene as URDF.")] = None,
-    velocity: Annotated[float, typer.Option(help="Share of the joints' speed limits that is used.")] = 1.0,
-    acceleration: Annotated[float, typer.Option(help="Largest joint acceleration [rad/s^2].")] = 5.0,
+    velocity: Annotated[float, typer.Option(help="Share of the joints' speed limits that is used, 0.001 to 1.")] = 1.0,
+    acceleration: Annotated[float, typer.Option(help="Largest joint acceleration [rad/s^2], 0.001 to 1000.")] = 5.0,
     no_home: Annotated[bool, typer.Option("--no-home", help="Neither begin nor end at the robot's home.")] = False,
     seed: SeedOption = 0,
     json: Annotated[bool, typer.Option("--json", help="Print a summary as one JSON object.")] = False,

@@ -20,14 +20,17 @@ from typing import NoReturn
 GRACE = 1.0
 """Seconds that a command has to end by itself after a signal."""
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_TRACKER = "ignore::UserWarning:joblib.externals.loky.backend.resource_tracker"
+"""What keeps the process that cleans up behind killed workers from listing what it cleans up."""
 
 _received: list[int] = []
-_said = ["interrupted"]
+_message = ["interrupted"]
 _speaking = threading.Lock()
 
 
 def install() -> None:
-    """Take over SIGINT and SIGTERM; to be called once, by the main thread."""
+    """Take over SIGINT and SIGTERM; to be called once, by the main thread, before worker processes are started."""
+    os.environ["PYTHONWARNINGS"] = ",".join(filter(None, (os.environ.get("PYTHONWARNINGS"), _TRACKER)))
     receiver, sender = socket.socketpair()
     sender.setblocking(False)
     signal.set_wakeup_fd(sender.detach(), warn_on_full_buffer=False)
@@ -38,7 +41,13 @@ def install() -> None:
 
 def resumable() -> None:
     """Have it said, if the command is interrupted, that the same command goes on where this one stopped."""
-    _said[0] = "interrupted; run the same command again to go on from here"
+    _message[0] = "interrupted; run the same command again to go on from here"
+
+
+def let_go() -> None:
+    """Let a signal end the process at once; to be called when nothing is left to do but to end."""
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_DFL)
 
 
 def received() -> bool:
@@ -49,7 +58,7 @@ def received() -> bool:
 def conclude() -> int:
     """Say that the command was interrupted, once, and return the exit code: 130 for Ctrl-C, 143 for SIGTERM."""
     if _speaking.acquire(blocking=False):
-        sys.stderr.write(f"{_said[0]}\n")
+        sys.stderr.write(f"{_message[0]}\n")
         sys.stderr.flush()
     return 128 + (_received[0] if _received else signal.SIGINT)
 
@@ -73,5 +82,5 @@ def _watch(receiver: socket.socket) -> None:
         number = receiver.recv(1)[0]
     time.sleep(GRACE)
     if _speaking.acquire(blocking=False):
-        os.write(2, f"{_said[0]}\n".encode())
+        os.write(2, f"{_message[0]}\n".encode())
     os._exit(128 + number)

@@ -23,6 +23,7 @@ from regrasp_opt.files import UNREADABLE_ARRAYS, atomic_path, content_hash, mach
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.workcell import Workcell
+from regrasp_opt.workers import workers
 
 POSES_PER_BLOCK = 200
 GRASPS_PER_POSE = 25
@@ -80,7 +81,7 @@ class LabellingTask:
             self.grasps.fingerprint(),
             self.placements,
         ]
-        return content_hash("labels-2", *parts, self.seed, POSES_PER_BLOCK, GRASPS_PER_POSE)
+        return content_hash("labels-3", *parts, self.seed, POSES_PER_BLOCK, GRASPS_PER_POSE)
 
 
 def random_poses(
@@ -169,7 +170,7 @@ def label_poses(task: LabellingTask, count: int, *, jobs: int = -1) -> LabelledP
 
 @contextlib.contextmanager
 def _pool(jobs: int) -> Iterator[tuple[Any, int]]:
-    with joblib.Parallel(n_jobs=jobs, return_as="generator") as parallel:
+    with workers(jobs, "generator") as parallel:
         yield parallel, joblib.effective_n_jobs(jobs)
 
 

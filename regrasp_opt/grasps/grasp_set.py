@@ -43,9 +43,7 @@ class GraspSet:
         T, width = self.T_object_tcp, self.width
         if T.ndim != 3 or T.shape[1:] != (4, 4) or width.shape != T.shape[:1]:
             raise GraspError(f"a grasp set has poses {T.shape} and widths {width.shape}; give (G, 4, 4) and (G,)")
-        rotation = T[:, :3, :3]
-        rigid = np.allclose(rotation @ np.swapaxes(rotation, 1, 2), np.eye(3), atol=1e-6)
-        if not (np.isfinite(T).all() and np.isfinite(width).all() and rigid and (np.linalg.det(rotation) > 0).all()):
+        if not (np.isfinite(width).all() and _are_rigid(T)):
             raise GraspError("a grasp set holds a pose that is not rigid or not finite; sample the grasps again")
         if (width < 0).any() or self.kind not in KINDS:
             raise GraspError(f"a grasp set has a negative width or kind '{self.kind}'; kinds are {', '.join(KINDS)}")
@@ -85,3 +83,12 @@ class GraspSet:
         if T.dtype.kind != "f" or width.dtype.kind != "f":
             raise GraspError(f"grasp file {os.fspath(path)} holds no numbers; sample the grasps again")
         return cls(T.astype(np.float64), width.astype(np.float64), str(kind))  # type: ignore[arg-type]
+
+
+def _are_rigid(T: FloatArray) -> bool:
+    """Return whether all `T` (G, 4, 4) are finite, and rotations in their upper left."""
+    rotation = T[:, :3, :3]
+    if not (np.isfinite(T).all() and (np.abs(rotation) < 2).all()):
+        return False
+    orthonormal = np.allclose(rotation @ np.swapaxes(rotation, 1, 2), np.eye(3), atol=1e-6)
+    return orthonormal and bool((np.linalg.det(rotation) > 0).all())

@@ -20,10 +20,16 @@ from regrasp_opt.planning import RegraspPlan
 from regrasp_opt.planning.plan_file import plan_content, plan_from_content, read_json, validated
 
 SCHEMA = 1
-LEAST_STEP = 1e-4
-"""Least time between rows of a CSV [s]; no controller reads finer ones."""
+MOST_ROWS = 10**6
+"""Rows of a CSV at most; these are some 150 MB."""
+LONGEST, FASTEST, WIDEST = 1e5, 1e4, 2.0
+"""What a motion file may hold: seconds of a segment, joint positions and speeds, and openings of the jaw [m].
 
-Row = list[float]
+Larger numbers are damage, and would overflow in what is made of them.
+"""
+
+Row = list[Annotated[float, Field(ge=-FASTEST, le=FASTEST)]]
+Limits = list[Annotated[float, Field(gt=0)]]
 _STATUSES = {status.name.lower(): status for status in MotionStatus}
 _PHASES = {phase.name.lower(): phase for phase in Phase}
 
@@ -36,8 +42,8 @@ class _Segment(_Record):
     phase: str
     transition: Annotated[int, Field(ge=0)]
     grasp_id: Annotated[int, Field(ge=0)]
-    jaw: Annotated[list[float], Field(min_length=2, max_length=2)]
-    times: Annotated[list[float], Field(min_length=2)]
+    jaw: Annotated[list[Annotated[float, Field(ge=0, le=WIDEST)]], Field(min_length=2, max_length=2)]
+    times: Annotated[list[Annotated[float, Field(ge=0, le=LONGEST)]], Field(min_length=2)]
     positions: list[Row]
     velocities: list[Row]
 
@@ -48,9 +54,9 @@ class _File(_Record):
     status: str
     reason: str
     joint_names: list[str]
-    velocity_limits: Row
-    acceleration_limits: Row
-    seconds: float
+    velocity_limits: Limits
+    acceleration_limits: Limits
+    seconds: Annotated[float, Field(ge=0)]
     segments: list[_Segment]
     plan: dict[str, Any]
 
@@ -115,6 +121,8 @@ def _parse(raw: Any, path: Path) -> _File:
     content = validated(_File, raw, path, "plan the motion again")
     if content.status not in _STATUSES:
         raise PlanFileError(f"'{path}': unknown status '{content.status}'; known: {', '.join(_STATUSES)}")
+    if bool(content.segments) != (_STATUSES[content.status] is MotionStatus.SOLVED):
+        raise PlanFileError(f"'{path}': a motion has segments if it is solved, and only then; plan the motion again")
     return content
 
 
@@ -145,13 +153,17 @@ def save_motion_csv(motion: MotionPlan, path: str | os.PathLike[str], step: floa
     Raises
     ------
     OptionError
-        If `step` is no number of seconds from `LEAST_STEP`.
+        If `step` is no positive number of seconds, or gives more than `MOST_ROWS` rows.
     PlanFileError
         If the motion is not solved.
     """
     check_step(step)
     if not motion.solved:
         raise PlanFileError(f"there is no motion to write: {motion.reason}")
+    if motion.duration > step * MOST_ROWS:
+        raise OptionError(
+            f"step is {step}, which makes more than {MOST_ROWS:,} rows of {motion.duration:.0f} s; give a larger one"
+        )
     names = motion.plan.problem.workcell.robot.joint_names
     times = np.append(np.arange(0.0, motion.duration - step / 2, step), motion.duration)
     with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
@@ -165,8 +177,8 @@ def save_motion_csv(motion: MotionPlan, path: str | os.PathLike[str], step: floa
 
 def check_step(step: float) -> None:
     """Raise an `OptionError` if `step` is no time between the rows of a CSV."""
-    if not LEAST_STEP <= step < np.inf:
-        raise OptionError(f"step is {step}; give a number of seconds from {LEAST_STEP}")
+    if not 0 < step < np.inf:
+        raise OptionError(f"step is {step}; give a positive number of seconds")
 
 
 def state_at(motion: MotionPlan, t: float) -> tuple[Segment, FloatArray, FloatArray, float]:

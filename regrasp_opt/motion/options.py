@@ -15,9 +15,11 @@ ACCELERATION = 5.0
 """Largest joint acceleration when none is given [rad/s^2, m/s^2]; URDF files do not state one."""
 
 LEAST_VELOCITY = 0.001
-"""Least share of the velocity limits: slower is hardly meant, and times of 1e300 s break the arithmetic."""
+"""Least share of the velocity limits: slower is hardly meant."""
+LEAST_SPEED = 1e-6
+"""Least speed of a joint [rad/s, m/s]; exported URDF files often have limits of 0, and no motion ends with these."""
 ACCELERATION_RANGE = 0.001, 1000.0
-"""Joint accelerations that are believed [rad/s^2, m/s^2], for the same reason."""
+"""Joint accelerations that are believed [rad/s^2, m/s^2]."""
 
 JAW_TIME = 0.5
 """Time in which the jaw closes or opens while the arm rests [s]."""
@@ -79,7 +81,7 @@ class MotionOptions:
         Raises
         ------
         OptionError
-            If the accelerations are out of range, or of another number than its joints.
+            If the accelerations are out of range or of another number than its joints, or a joint can hardly move.
         """
         try:
             acceleration = np.broadcast_to(np.asarray(self.acceleration, dtype=np.float64), (robot.dof,))
@@ -88,7 +90,14 @@ class MotionOptions:
         least, most = ACCELERATION_RANGE
         if not ((acceleration >= least) & (acceleration <= most)).all():
             raise OptionError(f"acceleration is {self.acceleration}; give numbers from {least:g} to {most:g}")
-        return self.velocity * robot.velocity_limits, np.array(acceleration)
+        velocity = self.velocity * robot.velocity_limits
+        slow = np.flatnonzero(~(velocity >= LEAST_SPEED))
+        if len(slow):
+            raise OptionError(
+                f"joint '{robot.joint_names[slow[0]]}' may move at {velocity[slow[0]]:g} rad/s or m/s only; give it a "
+                "velocity limit in the URDF, or a larger share"
+            )
+        return velocity, np.array(acceleration)
 
     def home_of(self, robot: Robot) -> FloatArray | None:
         """Return the configuration (dof,) at which the motion begins and ends, or None.

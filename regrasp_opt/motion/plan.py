@@ -135,7 +135,7 @@ class MotionPlan:
         Raises
         ------
         OptionError, PlanFileError
-            If `step` is no number of seconds from 0.0001, or there is no motion.
+            If `step` is no positive number of seconds or gives more than a million rows, or there is no motion.
         """
         from regrasp_opt.motion.motion_file import save_motion_csv
 

@@ -106,6 +106,8 @@ def load_object(name_or_path: str | os.PathLike[str], *, scale: float = 1.0, rep
 
 
 def _built_in(name: str, scale: float) -> ObjectModel:
+    if not (np.isfinite(scale) and scale > 0):
+        raise OptionError(f"scale is {scale}; give a positive number")
     mesh = build(name)
     extent = float(mesh.extents.max()) * scale
     if not SMALLEST <= extent <= LARGEST:

@@ -41,6 +41,7 @@ from regrasp_opt.planning.model_store import (
 )
 from regrasp_opt.planning.problem import command_arguments
 from regrasp_opt.workcell import Workcell
+from regrasp_opt.workers import workers
 
 DEFAULT_SAMPLES = 20_000
 HELD_OUT_POSES = 300
@@ -120,7 +121,7 @@ def prepare(
     began = time.perf_counter()
     tell("training", 0, len(PRESETS))
     energies: dict[str, EnergyModel] = {}
-    with joblib.Parallel(n_jobs=min(len(PRESETS), joblib.effective_n_jobs(jobs)), return_as="generator") as parallel:
+    with workers(min(len(PRESETS), joblib.effective_n_jobs(jobs)), "generator") as parallel:
         work = (joblib.delayed(_train_and_calibrate)(pairs, held_out, grasps, name, seed) for name in PRESETS)
         for name, energy in zip(PRESETS, parallel(work), strict=True):
             energies[name] = energy

@@ -134,12 +134,17 @@ def _leans_out(points: FloatArray) -> bool:
 
 
 def _edge_violations(plan: RegraspPlan) -> list[str]:
-    """Return at which poses the object touches the table beyond its edges."""
+    """Return at which poses the object touches the table beyond its edges.
+
+    It touches with its lowest points, and with all that are as near to the table as resting may be. Rounding is given
+    in favour of the plan.
+    """
     vertices, table = plan.problem.object.vertices, plan.problem.workcell.table
     texts = []
     for i, T in enumerate(plan.poses):
         points = vertices @ T[:3, :3].T + T[:3, 3]
-        touching = points[points[:, 2] - table.height <= RESTING_TOLERANCE - PLACEMENT_TOLERANCE, :2]
+        lowest, near = points[:, 2].min(), table.height + RESTING_TOLERANCE
+        touching = points[points[:, 2] <= max(lowest + PLACEMENT_TOLERANCE, near - PLACEMENT_TOLERANCE), :2]
         if (np.abs(touching - table.center) > table.size / 2 + PLACEMENT_TOLERANCE).any():
             texts.append(f"the object stands over the edge of the table at pose {i}")
     return texts

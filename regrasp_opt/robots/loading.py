@@ -108,7 +108,7 @@ def _source(
     tip = tip or urdf.default_tip(root, parents)
     chain = urdf.chain_to(tip, root, parents, path)
     urdf.settle_joints(chain, path)
-    urdf.settle_names(root, path)
+    urdf.settle_names(root, chain, path)
     urdf.settle_meshes(root, path, package_dirs)
     links = [link.get("name", "") for link in root.iterfind("link")]
     for pair in ignored:

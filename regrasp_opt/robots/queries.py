@@ -1,4 +1,4 @@
-"""Collision queries whose answers are exact and do not depend on what was asked before."""
+"""Collision queries that miss no overlap, and whose answers do not depend on what was asked before."""
 
 from __future__ import annotations
 

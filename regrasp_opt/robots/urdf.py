@@ -158,21 +158,30 @@ def settle_joints(chain: Sequence[ET.Element], path: Path) -> None:
             )
 
 
-def settle_names(root: ET.Element, path: Path) -> None:
-    """Rename the fixed joints that are called like a link, in place: Pinocchio looks both up by name alone.
+def settle_names(root: ET.Element, chain: Sequence[ET.Element], path: Path) -> None:
+    """Rename joints beside the `chain` that are called like a link, in place: Pinocchio looks both up by name alone.
 
     Raises
     ------
     WorkcellError
-        If a joint that moves is called like a link.
+        If a joint of the chain is called like a link.
     """
     links = {link.get("name") for link in root.iterfind("link")}
+    taken = links | {joint.get("name") for joint in root.iterfind("joint")}
     for joint in root.iterfind("joint"):
-        name = joint.get("name")
-        if name in links and joint.get("type") == "fixed":
-            joint.set("name", f"{name} (fixed joint)")
-        elif name in links:
-            raise WorkcellError(f"{path}: a link and a moving joint are both called '{name}'; rename one of them")
+        name = joint.get("name", "")
+        if name not in links:
+            continue
+        if joint in chain:
+            raise WorkcellError(f"{path}: a link and a joint of the arm are both called '{name}'; rename one of them")
+        new = name
+        while new in taken:
+            new += "_joint"
+        taken.add(new)
+        joint.set("name", new)
+        for mimic in root.iterfind("joint/mimic"):
+            if mimic.get("joint") == name:
+                mimic.set("joint", new)
 
 
 def _number(text: str) -> float:

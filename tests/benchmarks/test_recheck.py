@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from regrasp_opt import RegraspProblem, solve_sequence
 from regrasp_opt.benchmarks.recheck import DATA, Recheck
@@ -48,8 +49,14 @@ def test_a_good_plan_has_no_fault(plan, recheck):
 def test_where_the_object_stands_is_judged(plan, recheck):
     problem, T = plan.problem, plan.poses[1]
     tilted = T @ np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
+    tilt = np.eye(4)
+    tilt[:3, :3] = Rotation.from_euler("x", 25.0, degrees=True).as_matrix()
+    leaning = T @ tilt
+    leaning[2, 3] -= (problem.object.vertices @ leaning[2, :3] + leaning[2, 3]).min()
     for pose, said in (
         (translation(0.0, 0.0, 0.01) @ T, "pose 1: it is 0.0100 m above the table"),
+        (problem.pose(0, 0.0, 2.0), "pose 1: it stands over the edge of the table"),
+        (leaning, "pose 1: it would tip over"),
         (problem.pose(0, 0.0, 0.0), "pose 1: it overlaps the robot's base"),
         (problem.pose(0, 0.0, 2.0), "pose 1 is no stable placement in the workspace"),
         (tilted, "pose 1 is no stable placement in the workspace"),

@@ -50,7 +50,12 @@ FAULTS = {
     "unknown phase": lambda c: c["segments"][0].update(phase="dance"),
     "segments.0.jaw": lambda c: c["segments"][0].update(jaw=[0.1]),
     "do not fit its times": lambda c: c["segments"][1]["positions"].pop(),
-    "do not ascend": lambda c: c["segments"][1]["times"].__setitem__(1, -1.0),
+    "do not ascend": lambda c: c["segments"][1]["times"].__setitem__(1, 0.0),
+    "segments.1.times.1": lambda c: c["segments"][1]["times"].__setitem__(1, 1e300),
+    "segments.1.positions.0.2": lambda c: c["segments"][1]["positions"][0].__setitem__(2, 1e308),
+    "segments.2.jaw.0": lambda c: c["segments"][2].update(jaw=[-3.0, 0.1]),
+    "velocity_limits.0": lambda c: c["velocity_limits"].__setitem__(0, 0.0),
+    "if it is solved, and only then": lambda c: c.update(segments=[]),
     "not there": lambda c: c["segments"][1].update(transition=9),
     "other joints": lambda c: c.update(joint_names=["a"] * 6),
     "plan schema": lambda c: c["plan"].update(schema=7),
@@ -102,7 +107,7 @@ def test_the_csv_holds_the_trajectories(motion, tmp_path):
 
 
 def test_csv_of_a_bad_step_or_no_motion_is_refused(motion, tmp_path):
-    for step in (0.0, 1e-320, np.nan, np.inf):
+    for step in (0.0, 1e-320, motion.duration / 1.1e6, np.nan, np.inf):
         with pytest.raises(OptionError, match="step is"):
             motion.save_csv(tmp_path / "x.csv", step)
     unsolved = MotionPlan(MotionStatus.NO_MOTION, "blocked", motion.plan, (), *[np.ones(6)] * 2, 0.0)

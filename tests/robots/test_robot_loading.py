@@ -178,7 +178,16 @@ def test_arms_that_are_no_serial_chain_are_refused(write):
 def test_links_and_joints_of_one_name(write, nova2):
     text = Path(nova2.urdf_path).read_text("utf-8")
     assert 'name="flange_joint"' in text
-    same = load_robot(write(text.replace("flange_joint", "flange")))
+    finger = (
+        "<link name='{0}'/><joint name='{0}' type='{1}'><parent link='flange'/><child link='{0}'/><axis xyz='0 0 1'/>"
+    )
+    limit = "<limit lower='0' upper='0.1' velocity='1' effort='1'/>"
+    extra = finger.format("left", "prismatic") + limit + "</joint>"
+    extra += finger.format("right", "prismatic") + limit + "<mimic joint='left'/></joint>"
+    extra += finger.format("flange_joint", "floating") + "</joint>"
+    same = load_robot(
+        write(text.replace("flange_joint", "flange").replace("</robot>", extra + "</robot>")), tip="flange"
+    )
     assert same.joint_names == nova2.joint_names
     np.testing.assert_array_equal(same.forward(nova2.home), nova2.forward(nova2.home))
     assert "both called 'link1'" in refusal(write(text.replace('"joint2"', '"link1"')))
