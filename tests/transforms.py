@@ -1,9 +1,12 @@
-"""Random rigid transforms for tests."""
+"""Rigid transforms for tests."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+
+IN_THE_BASE = np.array([0.0, 0.1, 0.8])
+"""Planar parameters at which the bottle's edge is in the robot's base, in every placement [m, m, rad]."""
 
 
 def random_transforms(rng: np.random.Generator, count: int, spread: float = 0.1) -> np.ndarray:

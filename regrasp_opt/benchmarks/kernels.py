@@ -27,10 +27,10 @@ from regrasp_opt.planning import RegraspProblem
 
 SIZES = {"N": (1, 2, 3, 4, 6, 8), "G": (50, 100, 200, 500, 1000, 2000), "H": (32, 64, 128, 256)}
 STANDARD = {"N": 2, "G": 200, "H": 64}
-DERIVED = {"N": 3, "G": 200, "H": 128}
+DERIVATIVE_SIZES = {"N": 3, "G": 200, "H": 128}
 """Regrasps, grasps and hidden width at which derivatives are compared."""
-CHECKERS = 2
-"""Processes that check."""
+PROCESSES = 2
+"""Number of processes in which exact checks are timed."""
 
 
 def random_energy(count: int, hidden: int, seed: int = 0) -> GraspEnergy:
@@ -77,7 +77,7 @@ def _derivatives(cost: Any) -> tuple[Any, Any]:
 
 def derivative_speed(repeats: int = 15) -> dict[str, float]:
     """Return our times [s], those of CasADi's differentiation of the plainly built cost, and their disagreement."""
-    num_regrasps, count, hidden = (DERIVED[axis] for axis in "NGH")
+    num_regrasps, count, hidden = (DERIVATIVE_SIZES[axis] for axis in "NGH")
     energy = random_energy(count, hidden)
     arguments = _arguments(energy, num_regrasps)
     ours = parametric_functions(CasadiEnergy(energy.model, count), CostOptions(), num_regrasps).J_seq
@@ -86,7 +86,7 @@ def derivative_speed(repeats: int = 15) -> dict[str, float]:
     differences = [float(ca.norm_inf(ca.vec(a(*arguments) - b(*arguments)))) for a, b in pairs]
     (gradient, plain_gradient), (hessian, plain_hessian) = pairs
     return {
-        **DERIVED,
+        **DERIVATIVE_SIZES,
         "hessian": median_time(lambda: hessian(*arguments), repeats),
         "plain_hessian": median_time(lambda: plain_hessian(*arguments), repeats),
         "gradient": median_time(lambda: gradient(*arguments), repeats),
@@ -119,13 +119,13 @@ def exponent(rows: Sequence[dict[str, float]], axis: str) -> float:
 
 
 def check_speed(problem: RegraspProblem, pairs: int = 100_000) -> dict[str, float]:
-    """Return exact checks a second of `CHECKERS` processes, those of a plain loop, and how many labels differ."""
+    """Return exact checks a second of `PROCESSES` processes, those of a plain loop, and how many labels differ."""
     count = len(problem.grasps)
     poses = -(-pairs // count)
     numbers, xi = random_poses(problem.placement_poses, problem.workcell.bounds.array, poses, np.random.default_rng(0))
     T = planar_transform(xi) @ problem.placement_poses[numbers]
-    parts = np.array_split(T, 4 * CHECKERS)
-    with joblib.Parallel(n_jobs=CHECKERS) as parallel:
+    parts = np.array_split(T, 4 * PROCESSES)
+    with joblib.Parallel(n_jobs=PROCESSES) as parallel:
         list(parallel(joblib.delayed(_batched)(problem, part[:1]) for part in parts))  # start the workers
         began = time.perf_counter()
         labels = np.concatenate(list(parallel(joblib.delayed(_batched)(problem, part) for part in parts)))
@@ -134,7 +134,7 @@ def check_speed(problem: RegraspProblem, pairs: int = 100_000) -> dict[str, floa
         plain = np.concatenate(list(parallel(joblib.delayed(_plain_loop)(problem, part) for part in parts)))
         loop = time.perf_counter() - began
     return {
-        "processes": CHECKERS,
+        "processes": PROCESSES,
         "pairs": labels.size,
         "per_second": labels.size / batched,
         "plain_per_second": labels.size / loop,

@@ -41,17 +41,17 @@ class Sizes:
     Attributes
     ----------
     plans : int
-        Plans of each object with one regrasp; as many with two or three are looked for.
+        Number of plans with one regrasp for each object; as many with two or three are looked for.
     langevin : int
-        How many of the first are also planned by Langevin at the paper's setting.
+        Number of these tasks, from the first, that are also planned by Langevin at the paper's setting.
     repeats : int
-        Of each derivative and each point of the curves.
+        Number of times that each derivative and each point of a curve is timed.
     checks : int
-        Exact checks of a pose with a grasp.
+        Number of pairs of a pose and a grasp that are checked exactly.
     runs : int
-        Whole processes of each kind.
+        Number of times that `regrasp-opt --help` and `regrasp-opt plan` are started as whole processes.
     samples : int
-        That a model is prepared from.
+        Number of feasible pairs of a pose and a grasp on which the model of each mesh is trained.
     """
 
     plans: int

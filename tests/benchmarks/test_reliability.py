@@ -21,27 +21,33 @@ from regrasp_opt.cli import check as check_command
 from regrasp_opt.errors import MeshError
 from regrasp_opt.workcell import load_workcell
 
-QUICKLY_MADE = [name for name in TARGETS if name != "plan"]
+SLOWLY_READ = ("plan", "motion", "command line")
 
 
-@pytest.mark.parametrize("name", QUICKLY_MADE)
-def test_readers_take_or_refuse_damaged_files(name, tmp_path):
-    for number in range(12):
-        suffix, content = case(name, 1, number, tmp_path)
-        assert (suffix, content) == case(name, 1, number, tmp_path)
-        outcome = read_once(name, suffix, content, tmp_path)
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return one folder for all good files, so that each target's are made once."""
+    return tmp_path_factory.mktemp("targets")
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_readers_take_or_refuse_damaged_files(name, folder):
+    for number in range(6 if name in SLOWLY_READ else 12):
+        suffix, content = case(name, 1, number, folder)
+        assert (suffix, content) == case(name, 1, number, folder)
+        outcome = read_once(name, suffix, content, folder)
         assert outcome in ("read", "refused"), (number, outcome)
 
 
-@pytest.mark.parametrize("name", [name for name in QUICKLY_MADE if name != "command line"])
-def test_undamaged_files_are_read(name, tmp_path):
-    for suffix, content in fuzz_targets.seeds(name, tmp_path):
-        assert read_once(name, suffix, content, tmp_path) == "read"
+@pytest.mark.parametrize("name", [name for name in TARGETS if name != "command line"])
+def test_undamaged_files_are_read(name, folder):
+    for suffix, content in fuzz_targets.seeds(name, folder):
+        assert read_once(name, suffix, content, folder) == "read"
 
 
-def test_command_lines_are_run_among_their_files(tmp_path):
-    lines = {content: json.loads(content) for _, content in fuzz_targets.seeds("command line", tmp_path)}
-    begun = {content: read_once("command line", ".json", content, tmp_path) for content in lines}
+def test_command_lines_are_run_among_their_files(folder):
+    lines = {content: json.loads(content) for _, content in fuzz_targets.seeds("command line", folder)}
+    begun = {content: read_once("command line", ".json", content, folder) for content in lines}
     refused = [words for content, words in lines.items() if begun[content] == "refused"]
     assert set(begun.values()) == {"read", "refused"}
     assert {words[0] for words in refused} == {"bench", "plan", "prepare"}  # without meshes, a model, samples
@@ -69,7 +75,8 @@ def end(code):
     ],
 )
 def test_what_goes_wrong_on_the_command_line_is_told_apart(act, said, tmp_path, monkeypatch):
-    fuzz_targets.seeds("command line", tmp_path)
+    (tmp_path / "files").mkdir()
+    (tmp_path / "files" / "plan.json").write_text("{}", encoding="utf-8")
     monkeypatch.setattr(check_command, "run_check", lambda plan, as_json: act())
     outcome = read_once("command line", ".json", b'["check", "plan.json"]', tmp_path)
     assert outcome.startswith("traceback: RuntimeError") and said in outcome

@@ -1,7 +1,9 @@
 """`bench reliability` as a whole, at a size of seconds: its tables say what its rows say, and a second run resumes."""
 
 import signal
+import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 import trimesh
@@ -24,14 +26,14 @@ with open(sys.argv[1] + "/.rows", "w") as file:
     file.write("pair,seconds\\na,1\\n")
 os.replace(sys.argv[1] + "/.rows", sys.argv[1] + "/rows.csv")
 """
-SLEEPS = "import time; time.sleep(60)"
-SAYS_SO = """
-import signal, sys, time
+SLEEPS = "import sys, time; open(sys.argv[1], 'w').close(); time.sleep(600)"  # the file says that it is ready
+SAYS_SO = f"""
+import signal, sys
 def leave(number, frame): sys.exit(128 + number)
 signal.signal(signal.SIGTERM, leave); signal.signal(signal.SIGINT, leave)
-time.sleep(60)
+{SLEEPS}
 """
-STUBBORN = "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(60)"
+STUBBORN = f"import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); {SLEEPS}"
 
 
 @pytest.fixture
@@ -124,6 +126,26 @@ def test_few_grasps_are_drawn_of_all(bottle_problem):
     assert (few.grasps.T_object_tcp == bottle_problem.grasps.T_object_tcp[ids]).all()
 
 
+@pytest.fixture
+def signal_after(monkeypatch):
+    """Return a function that lets signals be sent as soon as a child has done something, at no set time."""
+    children, start = [], faults.start
+
+    def started(job, folder):
+        children.append(start(job, folder))
+        return children[-1]
+
+    def signal_after(done):
+        def wait(seconds):
+            while not done(children[-1]) and children[-1].poll() is None:
+                time.sleep(0.01)
+
+        monkeypatch.setattr(faults, "time", SimpleNamespace(sleep=wait, perf_counter=time.perf_counter))
+
+    monkeypatch.setattr(faults, "start", started)
+    return signal_after
+
+
 @pytest.mark.parametrize(
     ("script", "number", "codes", "tracebacks"),
     [
@@ -134,14 +156,17 @@ def test_few_grasps_are_drawn_of_all(bottle_problem):
     ],
     ids=["SIGTERM", "SIGINT", "with a traceback", "killed after the grace"],
 )
-def test_how_a_command_ends_on_a_signal_is_told(script, number, codes, tracebacks, monkeypatch):
+def test_how_a_command_ends_on_a_signal_is_told(script, number, codes, tracebacks, tmp_path, monkeypatch, signal_after):
+    ready = tmp_path / "ready"
+    signal_after(lambda child: ready.exists())
     monkeypatch.setattr(faults, "GRACE", 0.2 if script is STUBBORN else 60.0)
-    monkeypatch.setitem(JOBS, "job", Job((script,), 1.0))
+    monkeypatch.setitem(JOBS, "job", Job((script, str(ready)), 1.0))
     [row] = signal_rows("job", number, 0, 1)
     assert (row["sent"], row["codes"], row["tracebacks"], row["half_files"]) == (1, codes, tracebacks, 0)
 
 
-def test_a_command_that_is_done_before_the_signal_is_not_counted_but_its_files_are_opened(monkeypatch):
+def test_a_command_that_is_done_before_the_signal_is_not_counted_but_its_files_are_opened(monkeypatch, signal_after):
+    signal_after(lambda child: child.poll() is not None)
     monkeypatch.setitem(JOBS, "job", Job(("import sys; open(sys.argv[1], 'w').write('{')", "{}/half.json"), 1.0))
     [row] = signal_rows("job", signal.SIGTERM, 0, 1)
     assert (row["sent"], row["slowest"], row["codes"], row["half_files"]) == (0, 0.0, "", 1)

@@ -21,8 +21,15 @@ def tiny(monkeypatch):
     monkeypatch.setattr(speed, "OBJECT_NAMES", ("bottle",))
     monkeypatch.setattr(kernels, "SIZES", TINY_SIZES)
     monkeypatch.setattr(kernels, "STANDARD", {"N": 1, "G": 10, "H": 8})
-    monkeypatch.setattr(kernels, "DERIVED", {"N": 2, "G": 12, "H": 8})
-    monkeypatch.setattr(kernels, "CHECKERS", 1)
+    monkeypatch.setattr(kernels, "DERIVATIVE_SIZES", {"N": 2, "G": 12, "H": 8})
+    monkeypatch.setattr(kernels, "PROCESSES", 1)
+    monkeypatch.setattr(speed, "process_row", made_up_process)
+
+
+def made_up_process(label, arguments, environment=None):
+    """Return the row of a process that needs a second for each word, and fails where it has to do with a mesh."""
+    broken = any(word.endswith(".stl") for word in arguments)
+    return {"what": label, "seconds": float(len(arguments)), "peak_mb": 300.0, "exit": 2 if broken else 0}
 
 
 def cells(page, first):
@@ -32,11 +39,9 @@ def cells(page, first):
 
 
 def test_the_command_measures_every_part_and_the_page_repeats_it(tiny, tmp_path, capsys):
-    meshes = tmp_path / "meshes"
-    meshes.mkdir()
-    (meshes / "broken.stl").write_text("solid nothing", encoding="utf-8")
+    (tmp_path / "broken.stl").touch()
     out = tmp_path / "out"
-    assert run(["bench", "speed", "--quick", "--objects", str(meshes), "--out", str(out), "--json"]) == 0
+    assert run(["bench", "speed", "--quick", "--objects", str(tmp_path), "--out", str(out), "--json"]) == 0
     stored = json.loads((out / "speed" / "speed.json").read_text("utf-8"))
     page = (out / "speed" / "performance.md").read_text("utf-8")
     assert stored == {"environment": environment(), **json.loads(capsys.readouterr().out)}
@@ -52,14 +57,26 @@ def test_the_command_measures_every_part_and_the_page_repeats_it(tiny, tmp_path,
     for axis, rows in stored["curves"].items():
         assert tuple(row[axis] for row in rows) == TINY_SIZES[axis]
         assert stored["exponents"][axis] == pytest.approx(kernels.exponent(rows, axis))
-    exits = {row["what"]: row["exit"] for row in stored["processes"]}
-    assert exits["regrasp-opt --help"] == exits["regrasp-opt plan"] == 0
-    assert exits["prepare broken.stl"] == exits["prepare + plan broken.stl"] == 2
+    told = {row["what"]: (row["seconds"], row["exit"]) for row in stored["processes"]}
+    assert told == {
+        "regrasp-opt --help": (1, 0),
+        "regrasp-opt plan": (1, 0),
+        "prepare broken.stl": (4, 2),
+        "plan broken.stl": (3, 2),
+        "prepare + plan broken.stl": (7, 2),
+    }
 
     assert "regrasp-opt bench speed --quick" in page
     assert cells(page, "hessian")[1] == f"{1e3 * stored['derivatives']['hessian']:.2f}"
     assert cells(page, "prepare broken.stl")[-1] == "2"
     assert f"| bottle | two or three regrasps | {len(deep)} | {len(deep)} |" in page
+
+
+def test_a_process_is_timed_and_its_exit_code_told(tmp_path):
+    helped = speed.process_row("help", ["--help"])
+    refused = speed.process_row("refused", ["plan", "--object", str(tmp_path / "none.stl")])
+    assert (helped["what"], helped["exit"], refused["exit"]) == ("help", 0, 2)
+    assert helped["seconds"] > 0 and 5 < helped["peak_mb"] < refused["peak_mb"] < 5000
 
 
 def plan(seconds, refiner="ipopt", N=1, solved=True, **parts):

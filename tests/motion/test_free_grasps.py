@@ -18,7 +18,6 @@ from regrasp_opt.grasps.settling import GraspSettler
 from regrasp_opt.grasps.suction import NO_SEAL
 from regrasp_opt.motion import FreeGraspOptions, solve_with_free_grasps
 from regrasp_opt.motion.free_grasp_program import STEP, ChainSolve, FreeGraspProgram, displaced, random_move
-from regrasp_opt.motion.free_grasps import _Search
 from regrasp_opt.planning.tasks import random_task
 
 
@@ -175,10 +174,16 @@ def test_free_grasps_plan_where_ten_sampled_ones_cannot(thinned, tmp_path):
     np.testing.assert_array_equal(again.poses, plan.poses)
 
 
+def out_of_reach(self, placements, ends, T, width, start, bounds):
+    return start._replace(xi=start.xi + 10.0, steps=np.zeros_like(start.steps))
+
+
 def test_where_no_chain_holds_the_planner_searches_the_grown_set(thinned, monkeypatch):
     problem, task = thinned
-    monkeypatch.setattr(_Search, "_holds", lambda self, grown, chain: False)
-    options = FreeGraspOptions(rounds=3, chains=1, steps=1, searches=(1, 2, 3))
+    monkeypatch.setattr(FreeGraspProgram, "solve", out_of_reach)
+    options = FreeGraspOptions(rounds=3, chains=1, steps=1, searches=())
+    assert not solve_with_free_grasps(problem, task.start, task.goal, max_regrasps=1, options=options).solved
+    options = replace(options, searches=(1, 2, 3))
     plan = solve_with_free_grasps(problem, task.start, task.goal, max_regrasps=1, options=options)
     assert plan.status is Status.SOLVED and plan.residuals().hold
     used = np.unique(np.concatenate([t.grasp_ids for t in plan.transitions]))

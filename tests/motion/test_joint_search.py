@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from transforms import IN_THE_BASE
 
 from regrasp_opt.errors import OptionError
 from regrasp_opt.motion import Bounds, SearchOptions, joint_search, refine_plan
@@ -28,8 +29,7 @@ def test_poses_that_cannot_be_are_named(search, bottle_plan):
     choice = first_choice(bottle_plan)
     assert search._candidate(bottle_plan.xi + 5.0, choice) is None
     assert search.trouble == "a pose lies outside the workspace"
-    # turned like this the bottle's edge is in the robot's base, in every placement
-    assert search._candidate(np.array([[0.0, 0.1, 0.8]]), choice) is None
+    assert search._candidate(IN_THE_BASE[None], choice) is None
     assert search.trouble == "pose 1: the object is too near to an obstacle, the base or the table's edge"
 
 

@@ -125,10 +125,8 @@ def test_obstacles_of_every_kind_are_met(motion):
     ):
         cell = replace(problem.workcell, obstacles=(obstacle,))
         plan = replace(motion.plan, problem=replace(problem, workcell=cell))
-        one = next(segment for segment in motion.segments if segment.phase is Phase.TRANSFER)
-        checker = motion_recheck._Checker(replace(motion, plan=plan))
-        checker._collisions(one)
-        assert checker.collisions > 0 and f"meets {obstacle.name}" in " ".join(checker.problems)
+        found = recheck(replace(motion, plan=plan, segments=(first(motion, Phase.TRANSFER),)))
+        assert found.collisions > 0 and f"meets {obstacle.name}" in " ".join(found.problems)
 
 
 RAIL = """<robot name="arm"><link name="base"/><link name="sledge"/><link name="tool0"/>
@@ -138,10 +136,22 @@ RAIL = """<robot name="arm"><link name="base"/><link name="sledge"/><link name="
 <axis xyz="0 0 1"/><limit lower="-2" upper="2" velocity="1" effort="1"/></joint></robot>"""
 
 
-def test_rails_are_driven_along_their_axes(motion, tmp_path):
+@pytest.mark.parametrize("q", np.random.default_rng(0).uniform(-0.2, 0.2, (5, 2)))
+def test_rails_are_driven_along_their_axes(motion, tmp_path, q):
+    """The object is put where the hand holds it; moved along the rail by 0.01 mm the hand misses it."""
     path = tmp_path / "arm.urdf"
     path.write_text(RAIL, encoding="utf-8")
-    checker = motion_recheck._Checker(motion)
-    checker.robot = load_robot(path)
-    q = np.random.default_rng(0).uniform(-0.2, 0.2, (5, checker.robot.dof))
-    np.testing.assert_allclose(checker._frames(q)[:, -1], checker.robot.forward(q), atol=1e-9)
+    plan, grasp, robot = motion.plan, first(motion, Phase.GRASP), load_robot(path)
+    cell = replace(plan.problem.workcell, robot=robot)
+    tcp = cell.T_world_base @ robot.forward(q) @ np.linalg.inv(cell.end_effector.T_tcp_flange)
+    poses = plan.poses.copy()
+    poses[0] = tcp @ np.linalg.inv(plan.problem.grasps.T_object_tcp[grasp.grasp_id])
+    plan = replace(plan, problem=replace(plan.problem, workcell=cell), poses=poses)
+
+    def missed(along):
+        times, there = grasp.trajectory.times, np.tile(q + np.array([along, 0.0]), (len(grasp.trajectory.times), 1))
+        still = replace(grasp, trajectory=Trajectory(times, there, np.zeros_like(there)))
+        limits = {"velocity_limits": np.ones(2), "acceleration_limits": np.ones(2)}
+        return "misses the grasp" in problems(replace(motion, plan=plan, segments=(still,), **limits))
+
+    assert not missed(0.0) and missed(1e-5)
