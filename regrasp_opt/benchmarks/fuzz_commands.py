@@ -82,7 +82,8 @@ def run_command_line(path: Path) -> None:
         after = _contents(folder)
     said = (errors.getvalue().strip().splitlines() or [""])[-1]
     changed = {name for name in before.keys() | after.keys() if before.get(name) != after.get(name)}
-    unnamed = {name for name in changed if not any(Path(word).parts[:1] == (name,) for word in words)}
+    named = {Path(word).parts[:1] for word in words}  # "." names the folder, and so what is new in it
+    unnamed = {name for name in changed if (name,) not in named and (() not in named or name in before)}
     if code not in (0, 1, 2) or "internal error" in said or "Traceback" in errors.getvalue():
         raise RuntimeError(f"exit {code}: {said}")
     if unnamed or (code == 2 and changed & before.keys()):
