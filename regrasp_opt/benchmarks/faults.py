@@ -30,16 +30,19 @@ GRACE = 60.0
 """Seconds after which an interrupted process that still runs is killed."""
 _LOAD = "from regrasp_opt.cli import main; main()"
 _BENCH = """
-import sys
-from pathlib import Path
-from regrasp_opt.benchmarks.one_step import run_one_step
-from regrasp_opt.benchmarks.oracle import Resolution
-from regrasp_opt.benchmarks.report import write_report
-from regrasp_opt.benchmarks.session import Session
-class Coarse(Session):
-    grid = Resolution(0.1, 6)
-session = Coarse(Path(sys.argv[1]), quick=True, names=("bottle",), jobs=1, quiet=True)
-write_report(run_one_step(session), session.folder / "one-step")
+from functools import partial
+from regrasp_opt.cli import interrupts, main
+interrupts.install()
+interrupts.install = lambda: None
+try:
+    from regrasp_opt.benchmarks import session
+    from regrasp_opt.benchmarks.oracle import Resolution
+    from regrasp_opt.cli import bench
+    session.QUICK_GRID = Resolution(0.1, 6)
+    bench.Session = partial(session.Session, names=("bottle",))
+    main()
+except KeyboardInterrupt:
+    interrupts.leave(interrupts.conclude())
 """
 
 
@@ -53,7 +56,7 @@ class Job:
 
 JOBS = {
     "prepare": Job((_LOAD, "prepare", "pentagon", "--samples", "2000", "--grasps", "60", "--jobs", "2"), 25.0),
-    "bench": Job((_BENCH, "{}/results"), 20.0),
+    "bench": Job((_BENCH, "bench", "one-step", "--quick", "--jobs", "1", "--out", "{}/results"), 20.0),
 }
 """The commands by the name under which they are reported; `bench` is `one-step` on one object and a coarse grid."""
 
