@@ -23,6 +23,9 @@ from regrasp_opt.errors import MeshError
 MESH_SUFFIXES = (".stl", ".obj", ".ply", ".glb")
 """The file formats that are read."""
 
+FARTHEST = 1e9
+"""How far from the origin vertices may be, in the unit of the file; beyond, single precision overflows."""
+
 UNREADABLE = (
     OSError, ValueError, LookupError, TypeError, AttributeError, AssertionError, RuntimeError, NameError, EOFError,
     ImportError, MemoryError, ArithmeticError, struct.error, HeaderError,
@@ -36,8 +39,8 @@ def read_triangles(path: Path) -> tuple[FloatArray, IntArray]:
     Raises
     ------
     MeshError
-        If the file is missing, of another format or broken, has no triangles, vertices that are not finite, or
-        triangles of vertices that it does not hold.
+        If the file is missing, of another format or broken, has no triangles, vertices that are not finite or too far
+        away, or triangles of vertices that it does not hold.
     """
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise MeshError(f"{path} is no mesh file that can be read; give one of {', '.join(MESH_SUFFIXES)}")
@@ -56,6 +59,8 @@ def read_triangles(path: Path) -> tuple[FloatArray, IntArray]:
         raise MeshError(f"{path} has triangles of vertices that it does not hold; export it again")
     if not np.isfinite(vertices).all():
         raise MeshError(f"{path} has vertices that are NaN or infinite; export the mesh again")
+    if np.abs(vertices).max() > FARTHEST:
+        raise MeshError(f"{path} has vertices more than {FARTHEST:g} units away; export the mesh again")
     return vertices, faces
 
 

@@ -30,6 +30,8 @@ else:
 
 ROBOT_NAMES = ("nova2",)
 """The built-in robots."""
+LARGEST_OFFSET = 100.0
+"""How far from each other joints are believed to be [m]."""
 
 
 @dataclass(frozen=True)
@@ -137,6 +139,9 @@ def build_robot(source: RobotSource) -> Robot:
     lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
     home = _home(source, lower, upper)
     chain = chain_of_model(model, source.tip)
+    farthest = float(np.abs(np.append(chain.placements[:, :3, 3], chain.tip[:3, 3])).max())
+    if farthest > LARGEST_OFFSET:
+        raise WorkcellError(f"robot file {source.path} has joints {farthest:.3g} m apart; give its lengths in metres")
     analytic = analytic_ik(chain, lower, upper)
     return Robot(
         name=source.name,

@@ -175,6 +175,11 @@ def test_arms_that_are_no_serial_chain_are_refused(write):
     assert "two joints" in refusal(write(arm_urdf([JOINT, JOINT], extra=twice)))
 
 
+def test_lengths_that_are_no_metres_are_refused(write):
+    for length, said in (("400", "joints 400 m apart"), ("-1e308", "joints 1e+308 m apart")):
+        assert said in refusal(write(arm_urdf([JOINT, (JOINT[0], f"0 {length} 0.3", *JOINT[2:])])))
+
+
 def test_links_and_joints_of_one_name(write, nova2):
     text = Path(nova2.urdf_path).read_text("utf-8")
     assert 'name="flange_joint"' in text
