@@ -33,6 +33,7 @@ def leave(number, frame): sys.exit(128 + number)
 signal.signal(signal.SIGTERM, leave); signal.signal(signal.SIGINT, leave)
 {SLEEPS}
 """
+TRACEBACK = f"import signal; signal.signal(signal.SIGINT, signal.default_int_handler); {SLEEPS}"
 STUBBORN = f"import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); {SLEEPS}"
 
 
@@ -151,7 +152,7 @@ def signal_after(monkeypatch):
     [
         (SAYS_SO, signal.SIGTERM, "143", 0),
         (SAYS_SO, signal.SIGINT, "130", 0),
-        (SLEEPS, signal.SIGINT, "-2", 1),
+        (TRACEBACK, signal.SIGINT, "-2", 1),
         (STUBBORN, signal.SIGTERM, "-9", 0),
     ],
     ids=["SIGTERM", "SIGINT", "with a traceback", "killed after the grace"],
