@@ -33,7 +33,6 @@ _BENCH = """
 from functools import partial
 from regrasp_opt.cli import interrupts, main
 interrupts.install()
-interrupts.install = lambda: None
 try:
     from regrasp_opt.benchmarks import session
     from regrasp_opt.benchmarks.oracle import Resolution

@@ -104,7 +104,7 @@ def _contents(folder: Path) -> dict[str, object]:
 
 @contextlib.contextmanager
 def _inside(folder: Path) -> Iterator[None]:
-    """Work in `folder`, whose subfolder ``home`` is the data folder meanwhile."""
+    """Work in `folder`, with the folder ``home`` beside it for the data folder."""
     before, home = Path.cwd(), os.environ.get("REGRASP_OPT_HOME")
     os.environ["REGRASP_OPT_HOME"] = str(folder.parent / "home")
     os.chdir(folder)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -115,16 +115,17 @@ def _robots(folder: Path) -> list[tuple[str, bytes]]:
     return [(".urdf", (DATA / "robots/nova2/nova2.urdf").read_bytes()), *[(".urdf", _ARM.encode())] * 2]
 
 
-def _plans(folder: Path) -> list[tuple[str, bytes]]:
-    """Return a plan with few grasps, and what it is when nothing was found."""
+def _saved_plans(folder: Path) -> Iterator[Path]:
+    """Save a plan with few grasps to a file and yield that, then what is saved when nothing was found."""
     whole = RegraspProblem.load("bottle", "nova2-w")
     problem = RegraspProblem.load("bottle", "nova2-w", grasps=whole.grasps.subset(np.arange(0, 200, 20)))
-    ends = whole.pose(0, 0.2, 0.35), whole.pose(0, -0.2, 0.35, 0.3)
-    found = []
-    for goal in (ends[1], whole.pose(2, -0.2, 0.35)):
-        solve_sequence(problem, ends[0], goal, max_regrasps=1).save(folder / "plan.json")
-        found.append((".json", (folder / "plan.json").read_bytes()))
-    return found
+    for goal in (whole.pose(0, -0.2, 0.35, 0.3), whole.pose(2, -0.2, 0.35)):
+        solve_sequence(problem, whole.pose(0, 0.2, 0.35), goal, max_regrasps=1).save(folder / "plan.json")
+        yield folder / "plan.json"
+
+
+def _plans(folder: Path) -> list[tuple[str, bytes]]:
+    return [(".json", path.read_bytes()) for path in _saved_plans(folder)]
 
 
 def _read_plan(path: Path) -> None:
@@ -134,10 +135,9 @@ def _read_plan(path: Path) -> None:
 def _motions(folder: Path) -> list[tuple[str, bytes]]:
     """Return a motion, and what it is when there is no plan."""
     found = []
-    for suffix, content in _plans(folder):
-        (folder / "plan.json").write_bytes(content)
-        plan_motion(RegraspPlan.load(folder / "plan.json")).save(folder / "motion.json")
-        found.append((suffix, (folder / "motion.json").read_bytes()))
+    for path in _saved_plans(folder):
+        plan_motion(RegraspPlan.load(path)).save(folder / "motion.json")
+        found.append((".json", (folder / "motion.json").read_bytes()))
     return found
 
 

@@ -163,17 +163,8 @@ def _fault_table(rows: Sequence[Row]) -> Table:
     examples = "; ".join(str(row["examples"]) for row in _of(rows, "faults") if row.get("examples"))
     return Table(
         "Killed and interrupted commands",
-        (
-            "command",
-            "signal",
-            "times",
-            "half files",
-            "not recovered",
-            "other results",
-            "tracebacks",
-            "slowest end [s]",
-            "exit codes",
-        ),
+        ("command", "signal", "times", "half files", "not recovered", "other results", "tracebacks", "slowest end [s]",
+         "exit codes"),
         lines,
         examples or "After a kill every file is opened; in the end the results equal those of a run left alone.",
-    )
+    )  # fmt: skip

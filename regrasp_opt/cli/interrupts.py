@@ -29,7 +29,9 @@ _speaking = threading.Lock()
 
 
 def install() -> None:
-    """Take over SIGINT and SIGTERM; to be called once, by the main thread, before worker processes are started."""
+    """Take over SIGINT and SIGTERM; to be called by the main thread, before worker processes are started."""
+    if signal.getsignal(signal.SIGINT) is _interrupt:
+        return
     os.environ["PYTHONWARNINGS"] = ",".join(filter(None, (os.environ.get("PYTHONWARNINGS"), _TRACKER)))
     receiver, sender = socket.socketpair()
     sender.setblocking(False)

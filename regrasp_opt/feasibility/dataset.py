@@ -7,11 +7,9 @@ Validation poses are labelled for every grasp, because calibration needs to know
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import joblib
 import numpy as np
@@ -123,10 +121,11 @@ def label_pairs(
     name = task.fingerprint()[:16]
     blocks: list[LabelledPairs] = []
     found = 0
-    with _pool(jobs) as (parallel, workers):
+    at_once = joblib.effective_n_jobs(jobs)
+    with workers(jobs, "generator") as parallel:
         while found < feasible_wanted:
-            missing = (feasible_wanted - found) / max(found / max(len(blocks), 1), 1.0) if blocks else workers
-            numbers = range(len(blocks), len(blocks) + int(np.clip(missing + 1, 1, 16 * workers)))
+            missing = (feasible_wanted - found) / max(found / max(len(blocks), 1), 1.0) if blocks else at_once
+            numbers = range(len(blocks), len(blocks) + int(np.clip(missing + 1, 1, 16 * at_once)))
             for block in parallel(joblib.delayed(_block)(task, b, folder / f"{name}-{b:05d}.npz") for b in numbers):
                 blocks.append(block)
                 found += int(block.feasible.sum())
@@ -162,16 +161,10 @@ def label_poses(task: LabellingTask, count: int, *, jobs: int = -1) -> LabelledP
     rng = np.random.default_rng([task.seed, 1])
     numbers, xi = random_poses(task.placements, task.workcell.bounds.array, count, rng)
     T = planar_transform(xi) @ task.placements[numbers]
-    with _pool(jobs) as (parallel, workers):
-        parts = np.array_split(T, 4 * workers)
+    parts = np.array_split(T, 4 * joblib.effective_n_jobs(jobs))
+    with workers(jobs, "generator") as parallel:
         feasible = list(parallel(joblib.delayed(_all_grasps)(task, part) for part in parts))
     return LabelledPoses(T, np.concatenate(feasible))
-
-
-@contextlib.contextmanager
-def _pool(jobs: int) -> Iterator[tuple[Any, int]]:
-    with workers(jobs, "generator") as parallel:
-        yield parallel, joblib.effective_n_jobs(jobs)
 
 
 _checkers: dict[str, FeasibilityChecker] = {}

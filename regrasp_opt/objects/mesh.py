@@ -58,7 +58,7 @@ def read_mesh(path: Path, *, scale: float = 1.0, repair: bool = False) -> trimes
         extent = float(np.ptp(vertices[np.unique(faces)], axis=0).max())
     _check_size(path, extent, scale)
     mesh = trimesh.Trimesh(vertices, faces, process=True)
-    with quiet_trimesh():  # the centre of mass of a flat mesh
+    with quiet_trimesh():  # NumPy warns of the centre of mass of a flat mesh
         if repair:
             mesh = _repaired(path, mesh)
         check_solid(mesh, str(path), repaired=repair)

@@ -112,14 +112,14 @@ def _end_violations(plan: RegraspPlan) -> list[str]:
     body, cell = plan.problem.object, plan.problem.workcell
     texts = []
     for name, T in (("start", plan.poses[0]), ("goal", plan.poses[-1])):
-        lowest = float((body.vertices @ T[2, :3]).min() + T[2, 3])
+        points = body.vertices @ T[:3, :3].T + T[:3, 3]
+        lowest = float(points[:, 2].min())
         if abs(lowest - cell.table.height) > RESTING_TOLERANCE + PLACEMENT_TOLERANCE:
             texts.append(f"the object does not touch the table at the {name}: {lowest - cell.table.height:.2g} m off")
         center = (T[:3, :3] @ body.center_of_mass + T[:3, 3])[:2]
         low, high = cell.bounds.array
         if (center < low - PLACEMENT_TOLERANCE).any() or (center > high + PLACEMENT_TOLERANCE).any():
             texts.append(f"the {name} lies outside the workspace")
-        points = body.vertices @ T[:3, :3].T + T[:3, 3]
         touching = points[points[:, 2] - cell.table.height <= RESTING_TOLERANCE + PLACEMENT_TOLERANCE, :2]
         if len(touching) and _leans_out(touching - center):
             texts.append(f"the object would tip over at the {name}")
