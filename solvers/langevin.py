@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from regrasp_opt.connectivity import BLOCKED, SequenceObjective, sequence_cost
-from regrasp_opt.energy.activations import torch_activation
+from regrasp_opt.energy.activations import TorchNetwork
+from regrasp_opt.energy.network import evaluate
 from regrasp_opt.errors import OptionError
 from regrasp_opt.solvers.base import Candidates, Refinement, keep_better, wrap_yaw
 from regrasp_opt.threads import one_torch_thread
@@ -147,7 +148,7 @@ class _Landscape:
         low, high = objective.bounds
         self.grasps = len(ids)
         self.options = objective.options
-        self.bounded, self.activation = model.bounded, torch_activation(model.activation)
+        self.model, self.network = model, TorchNetwork()
         self.center = tensor([*(low + high) / 2, 0.0])
         self.scale = tensor([*(high - low) / 2, np.pi])
         rule = objective.table_rule
@@ -159,7 +160,7 @@ class _Landscape:
         rows += [np.broadcast_to(shift, rows[0].shape) for shift in (planar[0].dx, planar[0].dy)]
         self.first = tensor(np.stack([row.T.ravel() for row in rows]))  # (3 S + 2, A H)
         self.of_placement = torch.eye(len(planar), device=device)
-        self.layers = [(tensor(W), tensor(b)) for W, b in zip(model.weights[1:], model.biases[1:], strict=True)]
+        self.layers = [(tensor(W), tensor(b)) for W, b in model.layers]
 
     def scaled(self, xi: Any) -> torch.Tensor:
         import torch
@@ -191,10 +192,7 @@ class _Landscape:
         own = (self.of_placement[placements][..., None] * turned[..., None, :]).flatten(-2)  # (B, N, 3 S)
         z = torch.cat([own, xi[..., :2]], dim=-1) @ self.first
         z = z.unflatten(-1, (self.grasps, -1))
-        for W, b in self.layers:
-            z = torch.nn.functional.linear(self.activation(z), W, b)
-        f = z[..., 0]
-        learned = torch.nn.functional.softplus(f) if self.bounded else f
+        learned = evaluate(self.network, self.layers, self.model.activation, self.model.bounded, z)[..., 0]
         if self.point is None or self.table is None:
             return learned
         return torch.where(self._ruled_out(placements, xi), BLOCKED, learned)

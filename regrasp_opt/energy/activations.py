@@ -62,13 +62,21 @@ def casadi_activation(name: Activation, z: Any) -> Derivatives:
     )
 
 
-def torch_activation(name: Activation) -> Callable[[Any], Any]:
-    """Return the activation as a function of torch tensors."""
-    import torch
+class TorchNetwork:
+    """A network's backend on torch tensors (..., H); torch is imported with the first instance."""
 
-    table: dict[Activation, Callable[[Any], Any]] = {
-        "silu": torch.nn.functional.silu,
-        "selu": torch.nn.functional.selu,
-        "tanh": torch.tanh,
-    }
-    return table[name]
+    def __init__(self) -> None:
+        import torch
+
+        functional = torch.nn.functional
+        self._activations: dict[Activation, Callable[[Any], Any]] = {
+            "silu": functional.silu,
+            "selu": functional.selu,
+            "tanh": torch.tanh,
+        }
+        self.affine: Callable[[Any, Any, Any], Any] = functional.linear
+        self.softplus: Callable[[Any], Any] = functional.softplus
+
+    def activate(self, name: Activation, z: Any) -> Any:
+        """Return the activation of `z`."""
+        return self._activations[name](z)

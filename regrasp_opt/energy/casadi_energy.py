@@ -17,8 +17,9 @@ import casadi as ca
 import numpy as np
 
 from regrasp_opt.conventions import IntArray
-from regrasp_opt.energy.activations import casadi_activation
+from regrasp_opt.energy.activations import Activation, casadi_activation
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy, PlanarLayer, planar_shift
+from regrasp_opt.energy.network import evaluate
 
 Blas = Literal["classic", "reference"]
 """CasADi's matrix products: through BLAS, or CasADi's own loops, whose generated C needs no library."""
@@ -64,8 +65,8 @@ class CasadiEnergy:
         self.model = model
         self.count = count
         self.blas = blas
-        self._weights = [ca.MX(ca.DM(W.astype(np.float64))) for W in model.weights[1:]]
-        self._biases = [ca.MX(ca.DM(b.astype(np.float64))) for b in model.biases[1:]]
+        self._weights = [ca.MX(ca.DM(W.astype(np.float64))) for W, _ in model.layers]
+        self._biases = [ca.MX(ca.DM(b.astype(np.float64))) for _, b in model.layers]
 
     def product(self, a: Any, b: Any) -> Any:
         """Return the matrix product, by the chosen implementation."""
@@ -90,9 +91,22 @@ class CasadiEnergy:
         z = ca.MX(ca.DM(first.constant))
         for i in range(3):
             z = z + ca.repmat(self.product(ca.DM(first.pose[i]), T[i, :].T), 1, self.count)
-            if self.model.features == "tcp":
+            if first.tcp.any():
                 rows = [T[i, j] * ca.DM(energy.grasps.T_object_tcp[:, j, :].T) for j in range(4)]
                 z = z + self.product(ca.DM(first.tcp[i]), sum(rows[1:], rows[0]))
+        return self._plain(z)
+
+    def grasp_expression(self, T: Any, g: Any, width: Any) -> Any:
+        """Return the energy (1, 1) at `T` (4, 4) of one grasp `g` (4, 4) T_object_tcp whose numbers are variables too.
+
+        The jaw's `width` [m] is the third variable; `count` is 1.
+        """
+        weights = self.model.input_weights
+        z = ca.DM(self.model.biases[0].astype(np.float64)) + ca.DM(weights.width) * width
+        z = z + self.product(ca.DM(weights.grasp), ca.vec(g[:3, :].T))
+        tcp = T @ g
+        for i in range(3):
+            z = z + self.product(ca.DM(weights.pose[i]), T[i, :].T) + self.product(ca.DM(weights.tcp[i]), tcp[i, :].T)
         return self._plain(z)
 
     def planar_bottom(self, layer: PlanarLayer, xi: Any) -> Bottom:
@@ -118,16 +132,27 @@ class CasadiEnergy:
         return Bottom(value, tangents, None)
 
     def _plain(self, z: Any) -> Any:
-        for W, b in zip(self._weights, self._biases, strict=True):
-            z = self.product(W, casadi_activation(self.model.activation, z).value) + ca.repmat(b, 1, self.count)
-        return self._output(z.T)[0]
+        layers = zip(self._weights, self._biases, strict=True)
+        return evaluate(self, layers, self.model.activation, self.model.bounded, z).T
+
+    def activate(self, name: Activation, z: Any) -> Any:
+        """Return the activation of `z` (H, G)."""
+        return casadi_activation(name, z).value
+
+    def affine(self, a: Any, W: Any, b: Any) -> Any:
+        """Return ``W a + b`` (out, G)."""
+        return self.product(W, a) + ca.repmat(b, 1, self.count)
+
+    def softplus(self, f: Any) -> Any:
+        """Return ``log(1 + exp(f))``, elementwise."""
+        return ca.fmax(f, 0) + ca.log1p(ca.exp(-ca.fabs(f)))
 
     def _output(self, f: Any) -> tuple[Any, Any, Any]:
         """Return energy, slope and curvature of the energy in the network's output `f` (G, 1)."""
         if not self.model.bounded:
             return f, ca.MX.ones(self.count, 1), ca.MX.zeros(self.count, 1)
         s = 1 / (1 + ca.exp(-f))
-        return ca.fmax(f, 0) + ca.log1p(ca.exp(-ca.fabs(f))), s, s * (1 - s)
+        return self.softplus(f), s, s * (1 - s)
 
     def forward(self, bottom: Bottom, *, tangents: bool) -> Pass:
         """Evaluate the energies at the pose of `bottom`, with their gradients if `tangents`."""

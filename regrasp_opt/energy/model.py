@@ -17,7 +17,8 @@ from numpy.typing import DTypeLike, NDArray
 
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.energy.activations import Activation, activate
-from regrasp_opt.energy.features import FeatureSet
+from regrasp_opt.energy.features import FeatureSet, InputWeights, input_weights
+from regrasp_opt.energy.network import evaluate
 from regrasp_opt.files import content_hash
 from regrasp_opt.grasps import GraspSet
 
@@ -51,6 +52,16 @@ class EnergyModel:
     metadata: dict[str, Any] = field(default_factory=dict, compare=False)
 
     @property
+    def layers(self) -> tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...]:
+        """Weights and biases of the layers after the first, as `regrasp_opt.energy.network` takes them."""
+        return tuple(zip(self.weights[1:], self.biases[1:], strict=True))
+
+    @cached_property
+    def input_weights(self) -> InputWeights:
+        """The first layer's weights by what they weigh."""
+        return input_weights(self.weights[0].astype(np.float64), self.features, self.use_width)
+
+    @property
     def hidden(self) -> int:
         """Width of the hidden layers."""
         return int(self.weights[0].shape[0])
@@ -60,14 +71,13 @@ class EnergyModel:
         return content_hash(*self.weights, *self.biases, self.activation, self.features, self.use_width, self.bounded)
 
 
-@dataclass(frozen=True)
-class FirstLayer:
+class FirstLayer(NamedTuple):
     """The first layer for one grasp set, affine in the pose: ``z = constant + sum_i (pose[i] + tcp[i] @ g) @ T[i]``.
 
     Attributes
     ----------
     pose, tcp : (3, H, 4)
-        Weights of the three rows of the object pose and of the tool pose (zeros for the paper's features).
+        Weights of the three rows of the object pose and of the tool pose, as in `InputWeights`.
     constant : (H, G)
         What the grasp alone contributes, bias included.
     """
@@ -92,22 +102,9 @@ class PlanarLayer(NamedTuple):
 
 def planar_shift(model: EnergyModel) -> tuple[FloatArray, FloatArray]:
     """Return how the first layer's pre-activation (H, 1) changes with x and with y."""
-    W = model.weights[0].astype(np.float64)
-    x, y = W[:, 3:4], W[:, 7:8]
-    return (x + W[:, 27:28], y + W[:, 31:32]) if model.features == "tcp" else (x, y)
-
-
-def first_layer(model: EnergyModel, grasps: GraspSet) -> FirstLayer:
-    """Split the first layer of `model` for `grasps` into its pose-dependent and constant parts, in float64."""
-    W = model.weights[0].astype(np.float64)
-    hidden = W.shape[0]
-    pose = W[:, :12].reshape(hidden, 3, 4).transpose(1, 0, 2)
-    has_tcp = model.features == "tcp"
-    tcp = W[:, 24:36].reshape(hidden, 3, 4).transpose(1, 0, 2) if has_tcp else np.zeros_like(pose)
-    constant = W[:, 12:24] @ grasps.T_object_tcp[:, :3].reshape(-1, 12).T + model.biases[0].astype(np.float64)[:, None]
-    if model.use_width:
-        constant = constant + W[:, -1:] * grasps.width
-    return FirstLayer(pose, tcp, constant)
+    weights = model.input_weights
+    x, y = (weights.pose[row, :, 3:] + weights.tcp[row, :, 3:] for row in (0, 1))
+    return x, y
 
 
 class GraspEnergy:
@@ -127,7 +124,10 @@ class GraspEnergy:
     @cached_property
     def first_layer(self) -> FirstLayer:
         """The first layer for this grasp set."""
-        return first_layer(self.model, self.grasps)
+        weights, grasps = self.model.input_weights, self.grasps
+        constant = weights.grasp @ grasps.T_object_tcp[:, :3].reshape(-1, 12).T
+        constant = constant + self.model.biases[0].astype(np.float64)[:, None] + weights.width[:, None] * grasps.width
+        return FirstLayer(weights.pose, weights.tcp, constant)
 
     def __len__(self) -> int:
         return len(self.grasps)
@@ -169,14 +169,24 @@ class GraspEnergy:
         first = self.first_layer
         rows = T[:, :3].astype(dtype)  # (B, 3, 4)
         z = np.einsum("bij,ihj->bh", rows, first.pose.astype(dtype))[:, None, :] + first.constant.T.astype(dtype)
-        if self.model.features == "tcp":
+        if first.tcp.any():
             grasps = self.grasps.T_object_tcp.astype(dtype).transpose(1, 0, 2).reshape(4, -1)
             tcp = (rows.reshape(-1, 4) @ grasps).reshape(len(T), 3, len(self), 4)
             tcp = tcp.transpose(0, 2, 1, 3).reshape(len(T), len(self), 12)
             weights = first.tcp.transpose(1, 0, 2).reshape(-1, 12).T.astype(dtype)
             z = z + (tcp.reshape(-1, 12) @ weights).reshape(z.shape)
         z = z.reshape(-1, z.shape[-1])  # one large product is far cheaper than many small ones
-        for W, b in zip(self.model.weights[1:], self.model.biases[1:], strict=True):
-            z = activate(self.model.activation, z) @ W.T.astype(dtype) + b.astype(dtype)
-        f = z.reshape(len(T), len(self))
-        return np.logaddexp(f, 0) if self.model.bounded else f
+        model = self.model
+        return evaluate(_NumPy(), model.layers, model.activation, model.bounded, z).reshape(len(T), len(self))
+
+
+class _NumPy:
+    """Arrays (M, H) of one dtype; a network's backend."""
+
+    activate = staticmethod(activate)
+
+    def affine(self, a: NDArray[Any], W: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
+        return a @ W.T.astype(a.dtype) + b.astype(a.dtype)
+
+    def softplus(self, f: NDArray[Any]) -> NDArray[Any]:
+        return np.logaddexp(f, 0)

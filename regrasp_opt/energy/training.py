@@ -11,14 +11,15 @@ import itertools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from regrasp_opt.conventions import BoolArray, FloatArray
-from regrasp_opt.energy.activations import ACTIVATIONS, Activation, torch_activation
+from regrasp_opt.energy.activations import ACTIVATIONS, Activation, TorchNetwork
 from regrasp_opt.energy.features import FEATURE_SETS, FeatureSet
 from regrasp_opt.energy.model import EnergyModel
+from regrasp_opt.energy.network import evaluate
 from regrasp_opt.errors import ModelError, OptionError
 
 if TYPE_CHECKING:
@@ -125,12 +126,15 @@ def train(
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimiser, options.learning_rate, total_steps=options.epochs * batches
     )
+    network = TorchNetwork()
     with _one_steady_thread():
         for epoch in range(options.epochs):
             order = torch.randperm(len(y), generator=generator).to(device)
             for batch in order.split(options.batch_size):
                 optimiser.zero_grad(set_to_none=True)
-                _loss(_forward(layers, options.activation, x[batch]), y[batch], options).backward()
+                z = network.affine(x[batch], *layers[0])
+                f = evaluate(network, layers[1:], options.activation, False, z)[:, 0]
+                _loss(f, y[batch], options).backward()
                 optimiser.step()
                 schedule.step()
             if progress is not None:
@@ -168,16 +172,6 @@ def _layers(
         W = torch.randn(fan_out, fan_in, generator=generator) * fan_in**-0.5
         layers.append((W.to(device).requires_grad_(), torch.zeros(fan_out, device=device).requires_grad_()))
     return layers
-
-
-def _forward(layers: list[tuple[torch.Tensor, torch.Tensor]], activation: Activation, x: torch.Tensor) -> Any:
-    import torch
-
-    function = torch_activation(activation)
-    for W, b in layers[:-1]:
-        x = function(torch.nn.functional.linear(x, W, b))
-    W, b = layers[-1]
-    return torch.nn.functional.linear(x, W, b)[:, 0]
 
 
 def _loss(f: torch.Tensor, y: torch.Tensor, options: TrainingOptions) -> torch.Tensor:

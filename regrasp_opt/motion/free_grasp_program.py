@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from regrasp_opt.conventions import FloatArray
-from regrasp_opt.energy.free_energy import free_grasp_function
+from regrasp_opt.energy.export import grasp_function
 from regrasp_opt.energy.model import EnergyModel
 from regrasp_opt.motion.joint_program import planar
 from regrasp_opt.solvers.nlp_solver import lock as solver_lock
@@ -51,7 +51,7 @@ class FreeGraspProgram:
     def __init__(self, model: EnergyModel, size: int, kind: Literal["parallel", "suction"]) -> None:
         self.size = size
         self._fixed = 1 if kind == "parallel" else 2
-        energy = free_grasp_function(model)
+        energy = grasp_function(model)
         xi, d = ca.MX.sym("xi", 3, size), ca.MX.sym("steps", 6, size + 1)
         fixed = ca.MX.sym("transforms", 4, 4 * (2 * size + 3))
         width = ca.MX.sym("width", size + 1)

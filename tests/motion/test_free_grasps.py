@@ -10,7 +10,7 @@ from derivatives import assert_derivative
 from scipy.spatial.transform import Rotation
 
 from regrasp_opt import RegraspPlan, RegraspProblem, Status, solve_sequence
-from regrasp_opt.energy.free_energy import free_grasp_function
+from regrasp_opt.energy.export import grasp_function
 from regrasp_opt.errors import OptionError
 from regrasp_opt.grasps import gripper_free
 from regrasp_opt.grasps.antipodal import FRICTION, WIDENINGS, contact_depths
@@ -97,7 +97,7 @@ def test_suction_grasps_settle_on_the_surface_and_seal():
 @pytest.mark.parametrize("bounded", [True, False])
 def test_the_energy_of_a_free_grasp_is_that_of_the_set(make_energy, features, bounded):
     energy = make_energy(features=features, bounded=bounded)
-    function = free_grasp_function(energy.model)
+    function = grasp_function(energy.model)
     T = energy.grasps.T_object_tcp[3]
     expected = energy(T)
     for k in range(0, len(energy), 5):
@@ -107,7 +107,7 @@ def test_the_energy_of_a_free_grasp_is_that_of_the_set(make_energy, features, bo
 
 def test_the_energy_of_a_free_grasp_can_be_differentiated(make_energy):
     energy = make_energy()
-    function = free_grasp_function(energy.model)
+    function = grasp_function(energy.model)
     T, g = energy.grasps.T_object_tcp[:2]
     symbol = ca.MX.sym("g", 4, 4)
     gradient = ca.Function("d", [symbol], [ca.jacobian(function(T, symbol, 0.05), ca.vec(symbol))])
@@ -129,7 +129,7 @@ def test_a_chain_becomes_cheaper_within_its_steps(bottle_problem, kind):
     def cost(solve):
         poses = [ends[0], problem.pose(2, *solve.xi[0]), ends[1]]
         T = np.array([displaced(g, d) for g, d in zip(grasps.T_object_tcp, solve.steps, strict=True)])
-        free = free_grasp_function(energy.model)
+        free = grasp_function(energy.model)
         pairs = [(poses[i + side], T[i], grasps.width[i]) for i in (0, 1) for side in (0, 1)]
         return sum(float(free(*pair)) for pair in pairs) + 0.1 * (solve.steps**2).sum()
 
