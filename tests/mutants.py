@@ -1,12 +1,13 @@
-"""A seeded sample of mutants of three layers, each run with `pytest -x` against the tests beside its layer.
+"""A seeded sample of mutants of eight layers, each run with `pytest -x` against the tests that reach its function.
 
-    python tests/mutants.py --size 150
+    python tests/mutants.py --size 75 --jobs 2
 
 mutmut makes the mutants. They are drawn and run here, because mutmut runs all of them, and all of its tests before each
-start: one after another in a forked process, those tests first that took least time among the ones that reach the
-mutated function. What is done is kept in ``mutants/``, and a second run goes on; a mutant is tried again when its
-function has changed, one that survived also with ``--again``. The counts are written where
-`regrasp-opt bench reliability` reads them.
+start. Each mutant is tried in a forked process, with the tests beside its layer first, and of these the quickest first;
+tests that would take longer than `BUDGET` in all are left out, so that a mutant counted as survived may be noticed by a
+slow test. What is done is kept in ``mutants/``, and a second run goes on; a mutant is tried again when its function has
+changed, one that survived also with ``--again``. The counts are written where `regrasp-opt bench reliability` reads
+them.
 """
 
 from __future__ import annotations
@@ -33,7 +34,9 @@ from mutmut.mutation.file_mutation import mutate_file_contents
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "mutants"
-LAYERS = ("connectivity", "feasibility", "planning")
+LAYERS = ("connectivity", "energy", "feasibility", "grasps", "objects", "planning", "robots", "solvers")
+BUDGET = 40.0
+"""Seconds of tests that a mutant has to pass to survive."""
 SLOW = "tests/planning/test_hundred_pairs.py"
 Mutated = dict[str, Any]
 """A file with all its mutants: ``code``, ``names``, the lines (``spans``) and ``hashes`` of its functions."""
@@ -82,17 +85,22 @@ def source_of(mutant: str, mutated: Mutated) -> tuple[str, str]:
     return mutated["hashes"][original], "\n".join(difflib.unified_diff(before, after, lineterm="", n=1))
 
 
-def forked(work: Callable[[], int], cpu_seconds: int) -> int:
-    """Return the exit code of `work` in a forked process; negative where a signal ended it, such as a time limit."""
+def started(work: Callable[[], int], cpu_seconds: int) -> int:
+    """Return the id of a forked process that exits with what `work` returns."""
     pid = os.fork()
     if pid == 0:
         resource.setrlimit(resource.RLIMIT_CPU, (cpu_seconds, cpu_seconds + 5))
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.alarm(20 * cpu_seconds)
+        signal.alarm(10 * cpu_seconds)
         null = os.open(os.devnull, os.O_WRONLY)
         os.dup2(null, 1)
         os.dup2(null, 2)
         os._exit(work())
+    return pid
+
+
+def ended(pid: int) -> int:
+    """Return the exit code of a process; negative where a signal ended it, such as a time limit."""
     return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
 
 
@@ -129,15 +137,15 @@ def measure(file: Path, kept: Path) -> None:
             kept.write_text(json.dumps(reached.tests), encoding="utf-8")
         return code
 
-    if forked(work, 3600) != 0:
+    if ended(started(work, 3600)) != 0:
         raise SystemExit(f"{file} does not pass without a mutant; mend that first")
 
 
-def tests_by_function(layer: str, has_time: Callable[[], bool]) -> dict[str, list[tuple[float, str]]]:
-    """Return (seconds, test) of the tests beside `layer` that reach each function, the quickest first."""
+def tests_by_function(has_time: Callable[[], bool]) -> dict[str, list[tuple[float, str]]]:
+    """Return (seconds, test) of the tests beside the layers that reach each function, the quickest first."""
     found: dict[str, list[tuple[float, str]]] = {}
-    for file in sorted((ROOT / "tests" / layer).glob("test_*.py")):
-        kept = FOLDER / f"{layer}-{file.stem}.json"
+    for file in (file for layer in LAYERS for file in sorted((ROOT / "tests" / layer).glob("test_*.py"))):
+        kept = FOLDER / f"{file.parent.name}-{file.stem}.json"
         if str(file.relative_to(ROOT)) == SLOW:
             continue
         if not kept.exists() or kept.stat().st_mtime < file.stat().st_mtime:
@@ -150,12 +158,40 @@ def tests_by_function(layer: str, has_time: Callable[[], bool]) -> dict[str, lis
     return {name: sorted(tests) for name, tests in found.items()}
 
 
+def within_budget(tests: list[tuple[float, str]], layer: str) -> tuple[list[str], float]:
+    """Return the tests that a mutant of `layer` is run against, in their order, and the seconds that they take."""
+    chosen, total = [], 0.0
+    for seconds, test in sorted(tests, key=lambda item: not item[1].startswith(f"tests/{layer}/")):
+        if not chosen or total + seconds <= BUDGET:
+            chosen.append(test)
+            total += seconds
+    return chosen, total
+
+
+def verdict(code: int, tests: list[str], limit: int) -> str:
+    """Return what the exit code of a mutant's tests says."""
+    # 4 or 5: pytest did not find the tests. A mutant that breaks the import of their files is killed by that;
+    # where they are missing without the mutant as well, what is kept about them is out of date.
+    if code in (4, 5) and ended(started(partial(run_tests, ["--collect-only", *tests]), limit)) != 0:
+        raise SystemExit(f"pytest does not find all of {tests}; delete {FOLDER} and run this again")
+    return "survived" if code == 0 else "timeout" if code < 0 else "killed"
+
+
+def load_libraries() -> None:
+    """Import what takes long once, before the forks."""
+    import torch  # noqa: F401
+
+    import regrasp_opt.planning.prepare
+    import regrasp_opt.planning.sequence_nlp  # noqa: F401
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--size", type=int, default=150, help="mutants of each layer (default 150)")
+    parser.add_argument("--size", type=int, default=75, help="mutants of each layer (default 75)")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=float("inf"), help="begin no mutant after this time")
-    parser.add_argument("--layer", choices=LAYERS, help="this layer only")
+    parser.add_argument("--jobs", type=int, default=1, help="mutants that are tried at a time")
+    parser.add_argument("--layer", choices=LAYERS, action="append", help="this layer only; may be repeated")
     parser.add_argument("--again", action="store_true", help="try mutants that survived again")
     options = parser.parse_args()
     end = time.monotonic() + options.seconds
@@ -164,10 +200,7 @@ def main() -> None:
     mutants = make_mutants()
     sys.path.insert(0, str(FOLDER))
     os.environ["PYTHONPATH"] = str(FOLDER)
-    import torch  # noqa: F401 (loaded once, before the forks)
-
-    import regrasp_opt.planning.prepare
-    import regrasp_opt.planning.sequence_nlp  # noqa: F401
+    load_libraries()
 
     kept = FOLDER / KEPT
     results = json.loads(kept.read_text("utf-8")) if kept.exists() else {}
@@ -175,26 +208,37 @@ def main() -> None:
     for layer in LAYERS:
         names = sorted(name for name, (_, its_layer) in mutants.items() if its_layer == layer)
         sample += random.Random(options.seed).sample(names, min(options.size, len(names)))
-    for layer in [options.layer] if options.layer else LAYERS:
-        reach = tests_by_function(layer, lambda: time.monotonic() < end)
-        for name in [name for name in sample if mutants[name][1] == layer]:
-            code_hash, change = source_of(name, mutants[name][0])
-            before = results.get(name, {})
-            done = before.get("hash") == code_hash and not (options.again and before["result"] in UNSEEN)
-            if done or time.monotonic() > end:
-                continue
-            tests = reach.get(function_of(name), [])
-            limit = 60 + 5 * int(sum(seconds for seconds, _ in tests))
-            test_ids = [test for _, test in tests]
-            code = forked(partial(run_tests, test_ids, name), limit) if tests else 0
-            # 4 or 5: pytest did not find the tests. A mutant that breaks the import of their files is killed by that;
-            # where they are missing without the mutant as well, what is kept about them is out of date.
-            if code in (4, 5) and forked(partial(run_tests, ["--collect-only", *test_ids]), limit) != 0:
-                raise SystemExit(f"pytest finds no test of {name}; delete {FOLDER} and run this again")
-            result = "no_tests" if not tests else "survived" if code == 0 else "timeout" if code < 0 else "killed"
-            results[name] = {"hash": code_hash, "result": result, "change": change}
-            kept.write_text(json.dumps(results, indent=1), encoding="utf-8")
-            print(f"{result:9} {name}" + (f"\n{change}" if result in UNSEEN else ""), flush=True)
+    reach = tests_by_function(lambda: time.monotonic() < end)
+    running: dict[int, tuple[str, list[str], int]] = {}
+
+    def note(name: str, result: str) -> None:
+        code_hash, change = source_of(name, mutants[name][0])
+        results[name] = {"hash": code_hash, "result": result, "change": change}
+        kept.write_text(json.dumps(results, indent=1), encoding="utf-8")
+        print(f"{result:9} {name}" + (f"\n{change}" if result in UNSEEN else ""), flush=True)
+
+    def wait_for_one() -> None:
+        pid, status = os.wait()
+        name, tests, limit = running.pop(pid)
+        note(name, verdict(os.waitstatus_to_exitcode(status), tests, limit))
+
+    for name in sample:
+        layer, before = mutants[name][1], results.get(name, {})
+        done = before.get("hash") == source_of(name, mutants[name][0])[0]
+        if (done and not (options.again and before["result"] in UNSEEN)) or layer not in (options.layer or LAYERS):
+            continue
+        tests, seconds = within_budget(reach.get(function_of(name), []), layer)
+        if not tests:
+            note(name, "no_tests")
+            continue
+        while len(running) >= options.jobs:
+            wait_for_one()
+        if time.monotonic() > end:
+            break
+        limit = 30 + 3 * int(seconds)
+        running[started(partial(run_tests, tests, name), limit)] = name, tests, limit
+    while running:
+        wait_for_one()
     counted = [results[name]["result"] for name in sample if name in results]
     counts = {kind: counted.count(kind) for kind in ("killed", "timeout", "survived", "no_tests")}
     (FOLDER / COUNTS).write_text(json.dumps({**counts, "of": len(sample), "seed": options.seed}), encoding="utf-8")

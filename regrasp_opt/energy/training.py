@@ -134,7 +134,7 @@ def train(
                 optimiser.zero_grad(set_to_none=True)
                 z = network.affine(x[batch], *layers[0])
                 f = evaluate(network, layers[1:], options.activation, False, z)[:, 0]
-                _loss(f, y[batch], options).backward()
+                training_loss(f, y[batch], options).backward()
                 optimiser.step()
                 schedule.step()
             if progress is not None:
@@ -174,7 +174,8 @@ def _layers(
     return layers
 
 
-def _loss(f: torch.Tensor, y: torch.Tensor, options: TrainingOptions) -> torch.Tensor:
+def training_loss(f: torch.Tensor, y: torch.Tensor, options: TrainingOptions) -> torch.Tensor:
+    """Return the loss of network outputs `f` (B,) for labels `y` (B,), 1 where feasible (appendix B of the paper)."""
     import torch
 
     if options.loss == "likelihood":  # f is the logit of being infeasible
