@@ -65,7 +65,7 @@ OUTPUTS, LABELS = torch.tensor([-1.0, 0.5, 2.0, 3.0, 0.1]), torch.tensor([1.0, 1
 
 
 def test_the_papers_loss_is_a_normalised_likelihood_and_a_contrast():
-    """``-log(exp(-E) / mean exp(-E))`` of the feasible ones, and ``log(1 + exp(E_good - E_bad))`` of every such pair."""
+    """``-log(exp(-E) / mean exp(-E))`` of the feasible ones, and ``log(1 + exp(E_good - E_bad))`` of all pairs."""
     good, bad = OUTPUTS[:2].numpy(), OUTPUTS[2:].numpy()
     density = np.exp(-good) / np.exp(-OUTPUTS.numpy()).mean()
     contrast = np.mean([np.log(1 + np.exp(g - b)) for g in good for b in bad])
