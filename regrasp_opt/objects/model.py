@@ -17,6 +17,7 @@ from regrasp_opt.mesh_files import MESH_SUFFIXES
 from regrasp_opt.objects.builtin import OBJECT_NAMES, build
 from regrasp_opt.objects.mesh import LARGEST, SMALLEST, read_mesh
 from regrasp_opt.objects.placements import Placement, stable_placements
+from regrasp_opt.objects.rolling import Hull
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +63,14 @@ class ObjectModel:
     def center_of_mass(self) -> FloatArray:
         """Centre of mass (3,) in the object frame [m]."""
         return np.array(self.mesh.center_mass, dtype=np.float64)
+
+    @cached_property
+    def _hull(self) -> Hull:
+        return Hull(self.vertices - self.center_of_mass)
+
+    def rolls(self, T: FloatArray) -> bool:
+        """Return whether the object can roll where it rests at the pose `T` (4, 4) on a level table."""
+        return self._hull.rolls(self._hull.facet_below(-T[2, :3]))
 
     @cached_property
     def _fingerprint(self) -> str:

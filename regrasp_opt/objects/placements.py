@@ -2,12 +2,10 @@
 
 The support of a hull facet is that facet with all others whose normals are within `MERGE_ANGLE` of its own,
 so that a face cut into many slightly tilted triangles counts as one. A facet is stable when the centre of
-mass lies well above its support. Stable facets that lead from one to the next in steps of at most
-`MERGE_ANGLE` are rolling neighbours: one placement, which takes the best margin among them and the pose in
-which the object comes to rest there, the one with the centre of mass lowest.
-
-A round body lying on its side has no stable facet: its support is a strip whose half width is under
-`MERGE_ANGLE` times the radius, so its margin is far below 0.1. A prism of few sides lies stably on each.
+mass lies well above its support and the body does not roll there (`rolling`). Stable facets that lead from one
+to the next in steps of at most `MERGE_ANGLE`, or along a round side, are rolling neighbours: one placement,
+which takes the best margin among them and the pose in which the object comes to rest there, the one with the
+centre of mass lowest.
 """
 
 from __future__ import annotations
@@ -22,9 +20,7 @@ from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
 from regrasp_opt.errors import MeshError
-
-MERGE_ANGLE = np.pi / 64
-"""Facets of the hull whose normals are within this angle of a facet belong to its support [rad]."""
+from regrasp_opt.objects.rolling import LEAST_MARGIN, MERGE_ANGLE, Hull
 
 TIE = 1e-6
 """Margins closer than this count as equal when placements are ordered."""
@@ -50,7 +46,7 @@ class Placement:
     margin: float
 
 
-def stable_placements(mesh: trimesh.Trimesh, min_margin: float = 0.1) -> tuple[Placement, ...]:
+def stable_placements(mesh: trimesh.Trimesh, min_margin: float = LEAST_MARGIN) -> tuple[Placement, ...]:
     """Return the placements of a solid of uniform density whose margin is at least `min_margin`.
 
     They are ordered by falling margin; equal ones by the direction of their support in the object frame. The
@@ -70,10 +66,10 @@ def stable_placements(mesh: trimesh.Trimesh, min_margin: float = 0.1) -> tuple[P
     """
     points = np.asarray(mesh.vertices, dtype=np.float64) - mesh.center_mass
     try:
-        hull = ConvexHull(points)
+        hull = Hull(points)
     except QhullError as error:
         raise MeshError("the mesh is flat and has no convex hull; give a solid") from error
-    normals, heights = hull.equations[:, :3], -hull.equations[:, 3]
+    normals, heights = hull.normals, hull.heights
     tree = KDTree(normals)
     supports = [np.array(near) for near in tree.query_ball_point(normals, 2 * np.sin(MERGE_ANGLE / 2))]
     margins = np.array(
@@ -82,10 +78,14 @@ def stable_placements(mesh: trimesh.Trimesh, min_margin: float = 0.1) -> tuple[P
             for support, normal, height in zip(supports, normals, heights, strict=True)
         ]
     )
-    found = []
-    for group in _rolling_neighbours(supports, margins >= min_margin):
+    found, taken = [], np.zeros(len(normals), dtype=bool)
+    groups = _rolling_neighbours(supports, margins >= min_margin)
+    for group in sorted(groups, key=lambda group: -margins[group].max()):
         best = group[np.argmax(margins[group])]
         rest = supports[best][np.argmin(heights[supports[best]])]
+        if taken[rest] or hull.rolls(rest):
+            continue
+        taken[hull.neighbors(rest)] = True
         placement = Placement(_resting_pose(mesh, rotation_to_down(normals[rest])), float(margins[best]))
         found.append((placement, normals[rest]))
     return _ordered(found)

@@ -24,14 +24,16 @@ def checked_end(T: Any, name: str, problem: RegraspProblem) -> FloatArray:
     Raises
     ------
     PoseError
-        If it is no rigid transform, floats above the table, sinks into it, stands over its edge or would tip over,
-        overlaps an obstacle or the robot's base, or lies outside the workspace or the arm's reach; `name` (start or
-        goal) is in the message.
+        If it is not a rigid transform, floats above the table, sinks into it, stands over its edge, would tip over or
+        roll, overlaps an obstacle or the robot's base, or lies outside the workspace or the arm's reach; `name` (start
+        or goal) is in the message.
     """
     T = as_pose(T, f"{name} pose")
     vertices = problem.object.vertices @ T[:3, :3].T + T[:3, 3]
     _check_workspace(T, name, problem.object, problem.workcell, vertices)
     problem_at_rest = resting_problem(vertices, _center(T, problem.object), problem.workcell)
+    if problem_at_rest is None and problem.object.rolls(T):
+        problem_at_rest = "would roll"
     if problem_at_rest is not None:
         raise PoseError(f"the object {problem_at_rest} at the {name} pose; put it down in a stable placement")
     overlapped = problem.checker.object_overlaps(T, 0.0)

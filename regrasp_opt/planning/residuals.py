@@ -123,6 +123,8 @@ def _end_violations(plan: RegraspPlan) -> list[str]:
         touching = points[points[:, 2] - cell.table.height <= RESTING_TOLERANCE + PLACEMENT_TOLERANCE, :2]
         if len(touching) and _leans_out(touching - center):
             texts.append(f"the object would tip over at the {name}")
+        elif body.rolls(T):
+            texts.append(f"the object would roll at the {name}")
     return texts
 
 

@@ -4,14 +4,18 @@ import dataclasses
 import shlex
 import sys
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial.transform import Rotation
 
 from regrasp_opt import GraspSet, RegraspPlan, RegraspProblem, load_workcell, solve_sequence
 from regrasp_opt.errors import GraspError, ModelError, PoseError, UnknownNameError
 from regrasp_opt.feasibility.standing import resting_problem, standing_problem
+from regrasp_opt.objects import ObjectModel, stable_placements
+from regrasp_opt.planning.residuals import _end_violations
 from regrasp_opt.planning.tasks import random_task
 from regrasp_opt.workcell import Table
 
@@ -32,6 +36,18 @@ def test_a_start_that_would_tip_over_is_refused(bottle_problem, degrees):
     tilted = _on_table(bottle_problem, Rotation.from_euler("x", degrees, degrees=True).as_matrix() @ upright)
     with pytest.raises(PoseError, match="would tip over at the start pose"):
         solve_sequence(bottle_problem, tilted, bottle_problem.pose(0, 0.2, 0.35))
+
+
+def test_a_start_on_a_side_that_rolls_is_refused():
+    can = trimesh.creation.cylinder(0.03, 0.10, sections=24)
+    problem = RegraspProblem.load(ObjectModel("can", can, stable_placements(can)), "nova2-w")
+    upright = problem.pose(0, 0.0, 0.35)
+    assert not _end_violations(SimpleNamespace(problem=problem, poses=[upright, upright]))
+    lying = _on_table(problem, Rotation.from_euler("yz", [90, 20], degrees=True).as_matrix())
+    with pytest.raises(PoseError, match="would roll at the start pose"):
+        solve_sequence(problem, lying, upright)
+    rolled = _end_violations(SimpleNamespace(problem=problem, poses=[upright, lying]))
+    assert rolled == ["the object would roll at the goal"]
 
 
 def test_every_stable_placement_can_be_a_start(bottle_problem):
