@@ -1,13 +1,13 @@
-"""A seeded sample of mutants of eight layers, each run with `pytest -x` against the tests that reach its function.
+"""A seeded sample of mutants of eight layers, each tried against the tests that reach its function.
 
     python tests/mutants.py --size 75 --jobs 2
 
 mutmut makes the mutants. They are drawn and run here, because mutmut runs all of them, and all of its tests before each
-start. Each mutant is tried in a forked process, with the tests beside its layer first, and of these the quickest first;
-tests that would take longer than `BUDGET` in all are left out, so that a mutant counted as survived may be noticed by a
-slow test. What is done is kept in ``mutants/``, and a second run goes on; a mutant is tried again when its function has
-changed, one that survived also with ``--again``. The counts are written where `regrasp-opt bench reliability` reads
-them.
+start. pytest collects the tests once; each mutant is then tried in a process forked from there, until a test fails:
+those beside its layer first, and of these the quickest first. Tests that would take longer than `BUDGET` in all are
+left out, so a mutant that counts as survived may be noticed by a slow test. What is done is kept in ``mutants/``, and a
+second run goes on; a mutant is tried again when its function has changed, one that survived also with ``--again``. The
+counts are written where `regrasp-opt bench reliability` reads them.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import difflib
 import hashlib
+import itertools
 import json
 import os
 import random
@@ -22,8 +23,9 @@ import resource
 import shutil
 import signal
 import sys
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -85,104 +87,164 @@ def source_of(mutant: str, mutated: Mutated) -> tuple[str, str]:
     return mutated["hashes"][original], "\n".join(difflib.unified_diff(before, after, lineterm="", n=1))
 
 
-def started(work: Callable[[], int], cpu_seconds: int) -> int:
-    """Return the id of a forked process that exits with what `work` returns."""
-    pid = os.fork()
-    if pid == 0:
-        resource.setrlimit(resource.RLIMIT_CPU, (cpu_seconds, cpu_seconds + 5))
-        signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.alarm(10 * cpu_seconds)
-        null = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(null, 1)
-        os.dup2(null, 2)
-        os._exit(work())
-    return pid
+class Processes:
+    """Forked processes, so many at a time; each has a folder for its temporary files, which goes when it ends."""
+
+    def __init__(self, jobs: int) -> None:
+        self._jobs = jobs
+        self._running: dict[int, tuple[Path, Callable[[int], None]]] = {}
+
+    def start(self, work: Callable[[], int], cpu_seconds: int, then: Callable[[int], None]) -> None:
+        """Run `work` in a fork, and call `then` with what it returns; negative where a limit ended it."""
+        while len(self._running) >= self._jobs:
+            self._wait()
+        folder = Path(tempfile.mkdtemp(prefix="mutant-"))
+        pid = os.fork()
+        if pid == 0:
+            os.environ["TMPDIR"] = tempfile.tempdir = str(folder)
+            resource.setrlimit(resource.RLIMIT_CPU, (cpu_seconds, cpu_seconds + 5))
+            signal.signal(signal.SIGALRM, signal.SIG_DFL)
+            signal.alarm(20 * cpu_seconds)
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, 1)
+            os.dup2(null, 2)
+            code = 1
+            try:
+                code = work()
+            finally:
+                os._exit(code)
+        self._running[pid] = folder, then
+
+    def finish(self) -> None:
+        """Wait for all."""
+        while self._running:
+            self._wait()
+
+    def _wait(self) -> None:
+        pid, status = os.wait()
+        folder, then = self._running.pop(pid)
+        shutil.rmtree(folder, ignore_errors=True)
+        then(os.waitstatus_to_exitcode(status))
 
 
-def ended(pid: int) -> int:
-    """Return the exit code of a process; negative where a signal ended it, such as a time limit."""
-    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+class Campaign:
+    """A pytest plugin that tries mutants instead of running the collected tests."""
 
-
-def run_tests(tests: list[str], mutant: str = "", plugins: Any = ()) -> int:
-    """Run pytest on `tests` in this process with one mutant, or none, in force."""
-    trampoline.set_mutant_under_test(mutant)
-    return int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", f"--rootdir={ROOT}", *tests], plugins=plugins))
-
-
-class Reached:
-    """A pytest plugin that notes how long each test takes and which functions with mutants it calls."""
-
-    def __init__(self) -> None:
-        self.tests: dict[str, tuple[float, list[str]]] = {}
+    def __init__(self, options: argparse.Namespace, mutants: dict[str, tuple[Mutated, str]]) -> None:
+        self.options, self.mutants = options, mutants
+        self.end = time.monotonic() + options.seconds
+        kept = FOLDER / KEPT
+        self.results: dict[str, dict[str, str]] = json.loads(kept.read_text("utf-8")) if kept.exists() else {}
         self.calls: set[str] = set()
-        self.seconds = 0.0
+
+    def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        self.items = {item.nodeid: item for item in session.items}
+        self.processes = Processes(self.options.jobs)
+        self._measure_all()
+        reach = self._reach()
+        sample = self._sample()
+        for name in sample:
+            self._try(name, reach.get(function_of(name), []))
+        self.processes.finish()
+        counted = [self.results[name]["result"] for name in sample if name in self.results]
+        counts = {kind: counted.count(kind) for kind in ("killed", "timeout", "survived", "no_tests")}
+        content = json.dumps({**counts, "of": len(sample), "seed": self.options.seed})
+        (FOLDER / COUNTS).write_text(content, encoding="utf-8")
+        print(f"{len(counted)} of {len(sample)} mutants: {counts}")
+        return True
+
+    def _run(self, tests: list[str], mutant: str) -> Iterator[tuple[str, bool]]:
+        """Run tests one after the other with a mutant in force, and yield each with whether all have passed so far."""
+        trampoline.set_mutant_under_test(mutant)
+        items = [self.items[test] for test in tests]
+        for item, after in itertools.zip_longest(items, items[1:]):
+            item.config.hook.pytest_runtest_protocol(item=item, nextitem=after)
+            yield item.nodeid, item.session.testsfailed == 0
+
+    def _measure_all(self) -> None:
+        """Note how long each test takes and which functions it calls, for test files that are new."""
+        by_file: dict[Path, list[str]] = {}
+        for test, item in self.items.items():
+            by_file.setdefault(item.path, []).append(test)
+        for file, tests in by_file.items():
+            kept = kept_for(file)
+            if kept.exists() and kept.stat().st_mtime > file.stat().st_mtime:
+                continue
+            if time.monotonic() > self.end:
+                pytest.exit(f"out of time before {file} was run without a mutant; run this again", 1)
+
+            def check(code: int, file: Path = file) -> None:
+                if code != 0:
+                    pytest.exit(f"{file} does not pass without a mutant; mend that first", 1)
+
+            self.processes.start(partial(self._measure, kept, tests), 3600, check)
+        self.processes.finish()
+
+    def _measure(self, kept: Path, tests: list[str]) -> int:
         trampoline.record_trampoline_hit = lambda name, caller=None: self.calls.add(name)
+        found, began = {}, time.perf_counter()
+        for test, good in self._run(tests, "stats"):
+            if not good:
+                return 1
+            found[test] = time.perf_counter() - began, sorted(self.calls)
+            began = time.perf_counter()
+            self.calls.clear()
+        kept.write_text(json.dumps(found), encoding="utf-8")
+        return 0
 
-    def pytest_runtest_makereport(self, call: Any) -> None:
-        self.seconds += call.duration
+    def _reach(self) -> dict[str, list[tuple[float, str]]]:
+        """Return (seconds, test) of the tests that reach each function, the quickest first."""
+        found: dict[str, list[tuple[float, str]]] = {}
+        for file in {item.path for item in self.items.values()}:
+            for test, (seconds, calls) in json.loads(kept_for(file).read_text("utf-8")).items():
+                for name in calls:
+                    found.setdefault(name, []).append((seconds, test))
+        return {name: sorted(tests) for name, tests in found.items()}
 
-    def pytest_runtest_logfinish(self, nodeid: str) -> None:
-        self.tests[nodeid] = (self.seconds, sorted(self.calls))
-        self.seconds, self.calls = 0.0, set()
+    def _sample(self) -> list[str]:
+        """Return the mutants of all layers by turns, so that a run that is cut short has some of each."""
+        drawn = []
+        for layer in LAYERS:
+            names = sorted(name for name, (_, its_layer) in self.mutants.items() if its_layer == layer)
+            drawn.append(random.Random(self.options.seed).sample(names, min(self.options.size, len(names))))
+        return [name for turn in itertools.zip_longest(*drawn) for name in turn if name is not None]
+
+    def _try(self, name: str, reached: list[tuple[float, str]]) -> None:
+        mutated, layer = self.mutants[name]
+        code_hash, change = source_of(name, mutated)
+        before = self.results.get(name, {})
+        done = before.get("hash") == code_hash and not (self.options.again and before["result"] in UNSEEN)
+        if done or layer not in (self.options.layer or LAYERS) or time.monotonic() > self.end:
+            return
+        tests, seconds = within_budget(reached, layer)
+
+        def note(code: int) -> None:
+            result = "no_tests" if not tests else "survived" if code == 0 else "timeout" if code < 0 else "killed"
+            self.results[name] = {"hash": code_hash, "result": result, "change": change}
+            (FOLDER / KEPT).write_text(json.dumps(self.results, indent=1), encoding="utf-8")
+            print(f"{result:9} {name}" + (f"\n{change}" if result in UNSEEN else ""), flush=True)
+
+        if not tests:
+            note(0)
+            return
+        run = self._run(tests, name)
+        self.processes.start(lambda: int(not all(good for _, good in run)), 30 + 3 * int(seconds), note)
 
 
-def measure(file: Path, kept: Path) -> None:
-    """Run one test file without any mutant, and write what each of its tests reaches to `kept`."""
-
-    def work() -> int:
-        reached = Reached()
-        code = run_tests([str(file)], "stats", [reached])
-        if code == 0:
-            kept.write_text(json.dumps(reached.tests), encoding="utf-8")
-        return code
-
-    if ended(started(work, 3600)) != 0:
-        raise SystemExit(f"{file} does not pass without a mutant; mend that first")
-
-
-def tests_by_function(has_time: Callable[[], bool]) -> dict[str, list[tuple[float, str]]]:
-    """Return (seconds, test) of the tests beside the layers that reach each function, the quickest first."""
-    found: dict[str, list[tuple[float, str]]] = {}
-    for file in (file for layer in LAYERS for file in sorted((ROOT / "tests" / layer).glob("test_*.py"))):
-        kept = FOLDER / f"{file.parent.name}-{file.stem}.json"
-        if str(file.relative_to(ROOT)) == SLOW:
-            continue
-        if not kept.exists() or kept.stat().st_mtime < file.stat().st_mtime:
-            if not has_time():
-                raise SystemExit(f"out of time before {file} was run without a mutant; run this again")
-            measure(file, kept)
-        for test, (seconds, calls) in json.loads(kept.read_text("utf-8")).items():
-            for name in calls:
-                found.setdefault(name, []).append((seconds, test))
-    return {name: sorted(tests) for name, tests in found.items()}
+def kept_for(file: Path) -> Path:
+    """Return where it is kept what the tests of `file` reach."""
+    return FOLDER / f"{file.parent.name}-{file.stem}.json"
 
 
 def within_budget(tests: list[tuple[float, str]], layer: str) -> tuple[list[str], float]:
-    """Return the tests that a mutant of `layer` is run against, in their order, and the seconds that they take."""
-    chosen, total = [], 0.0
+    """Return the tests that a mutant of `layer` is tried with, in their order, and the seconds that they take."""
+    chosen: list[str] = []
+    total = 0.0
     for seconds, test in sorted(tests, key=lambda item: not item[1].startswith(f"tests/{layer}/")):
         if not chosen or total + seconds <= BUDGET:
             chosen.append(test)
             total += seconds
     return chosen, total
-
-
-def verdict(code: int, tests: list[str], limit: int) -> str:
-    """Return what the exit code of a mutant's tests says."""
-    # 4 or 5: pytest did not find the tests. A mutant that breaks the import of their files is killed by that;
-    # where they are missing without the mutant as well, what is kept about them is out of date.
-    if code in (4, 5) and ended(started(partial(run_tests, ["--collect-only", *tests]), limit)) != 0:
-        raise SystemExit(f"pytest does not find all of {tests}; delete {FOLDER} and run this again")
-    return "survived" if code == 0 else "timeout" if code < 0 else "killed"
-
-
-def load_libraries() -> None:
-    """Import what takes long once, before the forks."""
-    import torch  # noqa: F401
-
-    import regrasp_opt.planning.prepare
-    import regrasp_opt.planning.sequence_nlp  # noqa: F401
 
 
 def main() -> None:
@@ -194,55 +256,15 @@ def main() -> None:
     parser.add_argument("--layer", choices=LAYERS, action="append", help="this layer only; may be repeated")
     parser.add_argument("--again", action="store_true", help="try mutants that survived again")
     options = parser.parse_args()
-    end = time.monotonic() + options.seconds
     os.chdir(ROOT)
     FOLDER.mkdir(exist_ok=True)
-    mutants = make_mutants()
+    campaign = Campaign(options, make_mutants())
     sys.path.insert(0, str(FOLDER))
     os.environ["PYTHONPATH"] = str(FOLDER)
-    load_libraries()
-
-    kept = FOLDER / KEPT
-    results = json.loads(kept.read_text("utf-8")) if kept.exists() else {}
-    sample = []
-    for layer in LAYERS:
-        names = sorted(name for name, (_, its_layer) in mutants.items() if its_layer == layer)
-        sample += random.Random(options.seed).sample(names, min(options.size, len(names)))
-    reach = tests_by_function(lambda: time.monotonic() < end)
-    running: dict[int, tuple[str, list[str], int]] = {}
-
-    def note(name: str, result: str) -> None:
-        code_hash, change = source_of(name, mutants[name][0])
-        results[name] = {"hash": code_hash, "result": result, "change": change}
-        kept.write_text(json.dumps(results, indent=1), encoding="utf-8")
-        print(f"{result:9} {name}" + (f"\n{change}" if result in UNSEEN else ""), flush=True)
-
-    def wait_for_one() -> None:
-        pid, status = os.wait()
-        name, tests, limit = running.pop(pid)
-        note(name, verdict(os.waitstatus_to_exitcode(status), tests, limit))
-
-    for name in sample:
-        layer, before = mutants[name][1], results.get(name, {})
-        done = before.get("hash") == source_of(name, mutants[name][0])[0]
-        if (done and not (options.again and before["result"] in UNSEEN)) or layer not in (options.layer or LAYERS):
-            continue
-        tests, seconds = within_budget(reach.get(function_of(name), []), layer)
-        if not tests:
-            note(name, "no_tests")
-            continue
-        while len(running) >= options.jobs:
-            wait_for_one()
-        if time.monotonic() > end:
-            break
-        limit = 30 + 3 * int(seconds)
-        running[started(partial(run_tests, tests, name), limit)] = name, tests, limit
-    while running:
-        wait_for_one()
-    counted = [results[name]["result"] for name in sample if name in results]
-    counts = {kind: counted.count(kind) for kind in ("killed", "timeout", "survived", "no_tests")}
-    (FOLDER / COUNTS).write_text(json.dumps({**counts, "of": len(sample), "seed": options.seed}), encoding="utf-8")
-    print(f"{len(counted)} of {len(sample)} mutants: {counts}")
+    files = [str(file) for layer in LAYERS for file in sorted((ROOT / "tests" / layer).glob("test_*.py"))]
+    files.remove(str(ROOT / SLOW))
+    ours = ["-q", "-s", "-p", "no:cacheprovider", f"--rootdir={ROOT}"]
+    sys.exit(pytest.main([*ours, *files], plugins=[campaign]) not in (0, pytest.ExitCode.NO_TESTS_COLLECTED))
 
 
 if __name__ == "__main__":
