@@ -21,15 +21,15 @@ def pulled(plan: RegraspPlan, guess: np.ndarray, weight: float) -> np.ndarray:
     ends = [exact_energy(problem.feasible_grasps(T)) for T in plan.poses[[0, -1]]]
     functions = problem.energy.casadi_functions(start=ends[0], goal=ends[1], placements=plan.placements)
     opti = ca.Opti()
-    xi = opti.variable(3, plan.num_regrasps)
-    away = ca.sumsqr(xi[:2, :] - ca.repmat(CAMERA, 1, plan.num_regrasps))
+    xi = opti.variable(plan.num_regrasps, 3)
+    away = ca.sumsqr(xi[:, :2] - ca.repmat(CAMERA[None], plan.num_regrasps, 1))
     opti.minimize(functions.J_seq(xi) + weight * away)
     low, high = problem.workcell.bounds.array
     for i in range(plan.num_regrasps):
-        opti.subject_to(opti.bounded(low, xi[:2, i], high))
-    opti.set_initial(xi, guess.T)
+        opti.subject_to(opti.bounded(low, xi[i, :2].T, high))
+    opti.set_initial(xi, guess)
     opti.solver("ipopt", {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes"}})
-    return np.reshape(opti.solve().value(xi), (3, -1), order="F").T
+    return np.reshape(opti.solve().value(xi), (-1, 3))
 
 
 def main() -> None:

@@ -25,7 +25,7 @@ def write_code(plan: RegraspPlan) -> None:
         blocked=problem.table_rule(plan.placements, plan.xi),
         blas="reference",
     ).J_seq
-    xi = ca.MX.sym("xi", 3)
+    xi = ca.MX.sym("xi", 1, 3)
     cost = J_seq(xi)
     code = ca.CodeGenerator("jseq.c", {"with_header": True})
     code.add(ca.Function("jseq", [xi], [cost, ca.gradient(cost, xi)], ["xi"], ["J", "gradient"]))

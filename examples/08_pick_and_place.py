@@ -50,7 +50,7 @@ def carry(plan: RegraspPlan, weight: float) -> Outcome:
 
     opti = ca.Opti()
     q, v = opti.variable(robot.dof, STEPS + 1), opti.variable(robot.dof, STEPS + 1)
-    a, duration, xi = opti.variable(robot.dof, STEPS), opti.variable(), opti.variable(3)
+    a, duration, xi = opti.variable(robot.dof, STEPS), opti.variable(), opti.variable(1, 3)
     h = duration / STEPS
     opti.subject_to(v[:, 1:] == v[:, :-1] + h * a)
     opti.subject_to(q[:, 1:] == q[:, :-1] + h * v[:, :-1] + h**2 / 2 * a)

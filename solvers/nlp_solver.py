@@ -31,6 +31,8 @@ class NlpSolution:
     x : (n,)
     f : float
         The objective there.
+    g : (r,)
+        The constraints there.
     status : str
         How the solver ended, in its own words.
     converged : bool
@@ -48,6 +50,7 @@ class NlpSolution:
 
     x: FloatArray
     f: float
+    g: FloatArray
     status: str
     converged: bool
     violation: float
@@ -76,7 +79,9 @@ class NlpSolver:
             self.casadi_solver: Any = ca.nlpsol("regrasp", settings.plugin, dict(program), options)
         except RuntimeError as error:
             reason = str(error).strip().splitlines()[-1]
-            raise OptionError(f"CasADi cannot set up the plugin '{settings.plugin}' ({reason}); use ipopt") from error
+            raise OptionError(
+                f"CasADi cannot set up the plugin '{settings.plugin}' ({reason}); check its options"
+            ) from error
 
     def solve(
         self,
@@ -105,6 +110,7 @@ class NlpSolver:
         return NlpSolution(
             x,
             f,
+            g,
             status,
             status in CONVERGED or (self.settings.plugin != "ipopt" and bool(stats.get("success", False))),
             violation if np.isfinite(x).all() and np.isfinite(g).all() else np.inf,

@@ -11,6 +11,9 @@ from regrasp_opt.errors import OptionError
 
 Hessian = Literal["exact", "limited-memory"]
 
+FROM_A_SAMPLE = (("mu_init", 1e-4), ("bound_push", 1e-8), ("bound_frac", 1e-8), ("bound_relax_factor", 0.0))
+"""Ipopt's options for a good start: begin with a small barrier and do not push it off its bounds."""
+
 
 @dataclass(frozen=True)
 class ProgramOptions:
@@ -30,6 +33,8 @@ class ProgramOptions:
         constraints instead.
     record : bool
         Keep the variables at every iteration, in `NlpSolution.path`.
+    ipopt : tuple of (str, value)
+        Further options of Ipopt; they come last.
     """
 
     plugin: str = "ipopt"
@@ -38,6 +43,7 @@ class ProgramOptions:
     tolerance: float = 1e-5
     pair_limit: float | None = None
     record: bool = False
+    ipopt: tuple[tuple[str, Any], ...] = FROM_A_SAMPLE
 
     def __post_init__(self) -> None:
         if not ca.has_nlpsol(self.plugin):
@@ -60,11 +66,7 @@ def plugin_options(settings: ProgramOptions) -> dict[str, Any]:
                 "max_iter": settings.max_iterations,
                 "tol": settings.tolerance,
                 "hessian_approximation": settings.hessian,
-                # A sampled start is good: begin with a small barrier and do not push it off its bounds.
-                "mu_init": 1e-4,
-                "bound_push": 1e-8,
-                "bound_frac": 1e-8,
-                "bound_relax_factor": 0.0,
+                **dict(settings.ipopt),
             }
         }
     if settings.plugin == "sqpmethod":

@@ -69,7 +69,7 @@ class SequenceProgram:
         """
         low, high = (np.tile(np.append(side, e), len(xi)) for side, e in zip(bounds, (-np.inf, np.inf), strict=True))
         x0 = np.clip(xi.ravel(), low, high)
-        start_cost = float(self._functions.J_seq(x0.reshape(-1, 3).T, layers, blocked.T, *ends.T))
+        start_cost = float(self._functions.J_seq(x0.reshape(-1, 3), layers, blocked.T, *ends.T))
         packed = np.concatenate([layers.T.ravel(), blocked.ravel(), ends.T.ravel()])
         limit = self.settings.pair_limit
         rows = {} if limit is None else {"ubg": limit}

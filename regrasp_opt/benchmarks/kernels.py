@@ -65,7 +65,7 @@ def _arguments(energy: GraspEnergy, num_regrasps: int) -> tuple[Any, ...]:
     rng = np.random.default_rng(1)
     layers = layers_parameter(energy, _transforms(rng, num_regrasps))
     ends = rng.uniform(0, 4, (2, len(energy)))
-    return ca.DM(rng.normal(size=(3, num_regrasps))), ca.DM(layers), *map(ca.DM, ends)
+    return ca.DM(rng.normal(size=(num_regrasps, 3))), ca.DM(layers), *map(ca.DM, ends)
 
 
 def _derivatives(cost: Any) -> tuple[Any, Any]:

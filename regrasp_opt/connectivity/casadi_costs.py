@@ -63,12 +63,16 @@ class ChainEnds:
 class _Moving:
     """The moving poses: the functions' inputs, the one among them that moves the poses, and how to make them.
 
-    ``make(ids, tangents)`` returns them with the grasps `ids`; `tangents` as of `planar_energy`.
+    ``make(ids, tangents)`` returns them with the grasps `ids`; `tangents` same as in `planar_energy`. Derivatives are
+    written for poses side by side; callers hand them over one below the other, in an array of ``shape`` which
+    ``columns`` turns around.
     """
 
     inputs: Mapping[str, Any]
     variable: str
     make: Callable[[IntArray, bool], list[PoseEnergy]]
+    shape: tuple[int, int]
+    columns: Callable[[Any], Any]
 
 
 class ConnectivityFunctions:
@@ -98,14 +102,14 @@ class ConnectivityFunctions:
 
     @cached_property
     def E(self) -> Any:
-        """Energies (G, M) of the moving poses."""
+        """Energies (M, G) of the moving poses."""
         moving = self._moving
         light, full = (self._poses(np.arange(self._count), tangents) for tangents in (False, True))
         name, shape = moving.variable, moving.inputs[moving.variable].shape
         seed, unweighted = ca.MX.sym("adj_E", self._count, len(light)), ca.MX.ones(self._count)
         weights = ca.horzsplit(seed) if light else []
         gradients = [pose.gradient(w) for pose, w in zip(light, weights, strict=True)]
-        return by_adjoint(
+        columns = by_adjoint(
             "E",
             moving.inputs,
             "E",
@@ -115,6 +119,7 @@ class ConnectivityFunctions:
             {name: ca.reshape(ca.vertcat(*gradients), *shape)},
             {name: ca.diagcat(*[pose.second(w)[1] for pose, w in zip(full, weights, strict=True)])},
         )
+        return self._rows_first(columns, transposed=True)
 
     @cached_property
     def Q_pair(self) -> Any:
@@ -126,7 +131,7 @@ class ConnectivityFunctions:
         own, slopes, hessians = self._places, self._full.score_jacobian(), self._full.score_hessians()
         jacobian = {name: slopes[:, place] for name, place in own.items()}
         second = {(a, b): _interleaved([h[own[a], own[b]] for h in hessians]) for a in own for b in own}
-        return by_jacobian("Q_pair", self._inputs, "Q", value, jacobian, second)
+        return self._rows_first(by_jacobian("Q_pair", self._inputs, "Q", value, jacobian, second))
 
     @cached_property
     def J_seq(self) -> Any:
@@ -136,7 +141,7 @@ class ConnectivityFunctions:
         own, gradient, hessian = self._places, self._light.gradient(), self._full.hessian()
         jacobian = {name: gradient[place].T for name, place in own.items()}
         second = {(a, b): hessian[own[a], own[b]] for a in own for b in own}
-        return by_jacobian("J_seq", self._inputs, "J", self._light.cost, jacobian, second)
+        return self._rows_first(by_jacobian("J_seq", self._inputs, "J", self._light.cost, jacobian, second))
 
     def _end(self, name: str, end: Any, free: bool) -> PoseEnergy:
         """Return a fixed end, made an input where it is one; a free one counts among the variables."""
@@ -151,7 +156,23 @@ class ConnectivityFunctions:
 
     def _plain(self, name: str, output: str, value: Any) -> Any:
         """Return a function without derivatives of its own: the truncated cost has no useful ones."""
-        return ca.Function(name, [*self._inputs.values()], [value], [*self._inputs], [output])
+        return self._rows_first(ca.Function(name, [*self._inputs.values()], [value], [*self._inputs], [output]))
+
+    def _rows_first(self, function: Any, *, transposed: bool = False) -> Any:
+        """Return `function` of poses one below the other, inlined wherever it is called; its output may be turned."""
+        names = function.name_in()
+        inputs = {name: ca.MX.sym(name, *function.size_in(name)) for name in names}
+        variable = inputs[self._moving.variable] = ca.MX.sym(self._moving.variable, *self._moving.shape)
+        called = {**inputs, self._moving.variable: self._moving.columns(variable)}
+        output = function(*called.values())
+        return ca.Function(
+            function.name(),
+            [*inputs.values()],
+            [output.T if transposed else output],
+            names,
+            function.name_out(),
+            {"always_inline": True, "is_diff_in": function.is_diff_in()},
+        )
 
     @cached_property
     def _light(self) -> Chain:
@@ -197,7 +218,7 @@ def _interleaved(blocks: list[Any]) -> Any:
 def planar_functions(
     energy: GraspEnergy, options: CostOptions, ends: ChainEnds, placements: FloatArray, blas: Blas = "classic"
 ) -> ConnectivityFunctions:
-    """Return the functions of ``xi`` (3, N), planar parameters [m, m, rad] at `placements` (N, 4, 4)."""
+    """Return the functions of ``xi`` (N, 3), planar parameters [m, m, rad] at `placements` (N, 4, 4)."""
     xi = ca.MX.sym("xi", 3, len(placements))
 
     def make(ids: IntArray, tangents: bool) -> list[PoseEnergy]:
@@ -205,13 +226,13 @@ def planar_functions(
         layers = [expressions.layer(energy.planar_layer(T, ids)) for T in placements]
         return [planar_energy(expressions, layer, xi[:, i], tangents=tangents) for i, layer in enumerate(layers)]
 
-    return ConnectivityFunctions(_Moving({"xi": xi}, "xi", make), len(energy), options, ends)
+    return ConnectivityFunctions(_planar({"xi": xi}, make), len(energy), options, ends)
 
 
 def pose_functions(
     energy: GraspEnergy, options: CostOptions, ends: ChainEnds, num_poses: int, blas: Blas = "classic"
 ) -> ConnectivityFunctions:
-    """Return the functions of ``T`` (4, 4 M), `num_poses` full poses T_world_object side by side."""
+    """Return the functions of ``T`` (4 M, 4), `num_poses` full poses T_world_object one below the other."""
     T = ca.MX.sym("T", 4, 4 * num_poses)
 
     def make(ids: IntArray, tangents: bool) -> list[PoseEnergy]:
@@ -219,13 +240,17 @@ def pose_functions(
         parts = ca.horzsplit(T, 4)
         return [full_pose_energy(expressions, energy, part, ids, tangents=tangents) for part in parts]
 
-    return ConnectivityFunctions(_Moving({"T": T}, "T", make), len(energy), options, ends)
+    def columns(rows: Any) -> Any:
+        return ca.horzcat(*ca.vertsplit(rows, 4))
+
+    moving = _Moving({"T": T}, "T", make, (4 * num_poses, 4), columns)
+    return ConnectivityFunctions(moving, len(energy), options, ends)
 
 
 def parametric_functions(
     energy: CasadiEnergy, options: CostOptions, num_regrasps: int, *, blocking: bool = False
 ) -> ConnectivityFunctions:
-    """Return the functions of ``xi`` (3, N), ``layers`` (H, 3 G N), ``start`` and ``goal`` (G, 1).
+    """Return the functions of ``xi`` (N, 3), ``layers`` (H, 3 G N), ``start`` and ``goal`` (G, 1).
 
     They are differentiable in ``xi`` only; `layers_parameter` makes ``layers``. With `blocking`, ``blocked`` (G, N)
     follows ``layers``: 1 for grasps known to be infeasible at a pose, 0 for others.
@@ -242,15 +267,18 @@ def parametric_functions(
             return poses
         return [PartlyKnownEnergy(pose, inputs["blocked"][:, i], BLOCKED) for i, pose in enumerate(poses)]
 
-    moving = _Moving(inputs, "xi", make)
-    return ConnectivityFunctions(moving, energy.count, options, ChainEnds(INPUT, INPUT), free_ends=False)
+    return ConnectivityFunctions(_planar(inputs, make), energy.count, options, ChainEnds(INPUT, INPUT), free_ends=False)
+
+
+def _planar(inputs: Mapping[str, Any], make: Callable[[IntArray, bool], list[PoseEnergy]]) -> _Moving:
+    return _Moving(inputs, "xi", make, inputs["xi"].shape[::-1], lambda xi: xi.T)
 
 
 def plain_sequence_cost(energy: CasadiEnergy, options: CostOptions, num_regrasps: int) -> Any:
     """Return ``J_seq`` of `parametric_functions` built without derivatives of its own: the reference for them."""
-    xi, packed = ca.MX.sym("xi", 3, num_regrasps), _layers_symbol(energy, num_regrasps)
+    xi, packed = ca.MX.sym("xi", num_regrasps, 3), _layers_symbol(energy, num_regrasps)
     ends = [ca.MX.sym(name, energy.count) for name in ("start", "goal")]
-    energies = [energy.planar_expression(layer, xi[:, i]) for i, layer in enumerate(_split(energy, packed))]
+    energies = [energy.planar_expression(layer, xi[i, :].T) for i, layer in enumerate(_split(energy, packed))]
     chain = [ends[0], *energies, ends[1]]
     scores = [pair_score(a, b, options) for a, b in itertools.pairwise(chain)]
     cost = cost_of_scores(scores, options.regularisation)

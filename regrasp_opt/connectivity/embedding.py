@@ -74,7 +74,7 @@ class ProblemEnergy(GraspEnergy):
         Returns
         -------
         ConnectivityFunctions
-            Functions of ``xi`` (3, N), the planar parameters [m, m, rad]: ``E`` (G, N), ``Q_pair`` of neighbouring
+            Functions of ``xi`` (N, 3), the planar parameters [m, m, rad]: ``E`` (N, G), ``Q_pair`` of neighbouring
             poses (Eq. 4), (N+1, 1) with both ends, and ``J_seq`` (1, 1) (Eq. 5).
 
         Raises
@@ -104,18 +104,19 @@ class ProblemEnergy(GraspEnergy):
         num_poses : int
             M, the number of poses that move.
         start, goal, mask, blocked, options, blas
-            As of `casadi_functions`.
+            Same as in `casadi_functions`.
 
         Returns
         -------
         ConnectivityFunctions
-            Functions of ``T`` (4, 4 M), poses T_world_object side by side: ``E`` (G, M), ``Q_pair``, ``J_seq``. All 12
-            numbers of the upper rows of a pose are free as far as derivatives go; keeping them rigid is the caller's.
+            Functions of ``T`` (4 M, 4), poses T_world_object one below the other: ``E`` (M, G), ``Q_pair``, ``J_seq``.
+            All 12 numbers of the upper rows of a pose are free as far as derivatives go; keeping them rigid is the
+            caller's.
 
         Raises
         ------
         OptionError
-            If `num_poses` is below 1, or as of `casadi_functions`.
+            If `num_poses` is below 1, or for the same reasons as `casadi_functions`.
         """
         if isinstance(num_poses, bool) or not isinstance(num_poses, (int, np.integer)) or num_poses < 1:
             raise OptionError(f"num_poses is {num_poses}; give a whole number of at least 1")
@@ -141,7 +142,7 @@ class ProblemEnergy(GraspEnergy):
         ends = self._end_energies(start, "start"), self._end_energies(goal, "goal")
         known = None if blocked is None else np.asarray(blocked)
         if known is not None and (known.shape != (poses, len(self)) or known.dtype != bool):
-            raise OptionError(f"blocked is no array of booleans ({poses}, {len(self)}), poses by grasps")
+            raise OptionError(f"blocked must be a boolean array ({poses}, {len(self)}), poses by grasps")
         if mask is None or (isinstance(mask, str) and mask == INPUT):
             return ChainEnds(*ends, mask, None, known)
         chosen = np.asarray(mask)

@@ -12,7 +12,8 @@ from regrasp_opt.conventions import FloatArray
 from regrasp_opt.energy.export import grasp_function
 from regrasp_opt.energy.model import EnergyModel
 from regrasp_opt.motion.joint_program import planar
-from regrasp_opt.solvers.nlp_solver import lock as solver_lock
+from regrasp_opt.solvers.nonlinear_program import NonlinearProgram
+from regrasp_opt.solvers.options import ProgramOptions
 
 STEP = np.array([0.02, 0.02, 0.02, 0.4, 0.4, 0.4])
 """Largest step of a grasp along and about each axis of its tool frame [m, rad]."""
@@ -23,14 +24,7 @@ STEP_WEIGHT = 0.1
 SLIDE = 0.02
 """Standard deviation of random slides along the surface [m]."""
 
-IPOPT = {
-    "print_level": 0,
-    "sb": "yes",
-    "max_iter": 20,
-    "tol": 1e-3,
-    "mu_init": 1e-3,
-    "hessian_approximation": "limited-memory",
-}
+OPTIONS = ProgramOptions(hessian="limited-memory", max_iterations=20, tolerance=1e-3, ipopt=(("mu_init", 1e-3),))
 
 
 class ChainSolve(NamedTuple):
@@ -52,23 +46,17 @@ class FreeGraspProgram:
         self.size = size
         self._fixed = 1 if kind == "parallel" else 2
         energy = grasp_function(model)
-        xi, d = ca.MX.sym("xi", 3, size), ca.MX.sym("steps", 6, size + 1)
-        fixed = ca.MX.sym("transforms", 4, 4 * (2 * size + 3))
-        width = ca.MX.sym("width", size + 1)
-        given = ca.horzsplit(fixed, 4)
+        nlp = NonlinearProgram()
+        xi, d = nlp.variable("xi", (size, 3)), nlp.variable("steps", (size + 1, 6))
+        given = ca.horzsplit(nlp.parameter("transforms", (4, 4 * (2 * size + 3))), 4)
+        width = nlp.parameter("width", size + 1)
         placements, ends, grasps = given[:size], given[size : size + 2], given[size + 2 :]
-        poses = [ends[0], *[planar(xi[:, i]) @ T for i, T in enumerate(placements)], ends[1]]
-        cost = STEP_WEIGHT * ca.sumsqr(d)
+        poses = [ends[0], *[planar(xi[i, :]) @ T for i, T in enumerate(placements)], ends[1]]
+        nlp.add_cost(STEP_WEIGHT * ca.sumsqr(d))
         for i, T in enumerate(grasps):
-            g = T @ _displacement(d[:, i])
-            cost = cost + energy(poses[i], g, width[i]) + energy(poses[i + 1], g, width[i])
-        program: dict[str, Any] = {
-            "x": ca.vertcat(ca.vec(xi), ca.vec(d)),
-            "p": ca.vertcat(ca.vec(fixed), width),
-            "f": cost,
-        }
-        settings: dict[str, Any] = {"print_time": False, "ipopt": IPOPT}
-        self._solver = ca.nlpsol("free_grasps", "ipopt", program, settings)
+            g = T @ _displacement(d[i, :].T)
+            nlp.add_cost(energy(poses[i], g, width[i]) + energy(poses[i + 1], g, width[i]))
+        self._solver = nlp.solver(OPTIONS)
 
     def solve(
         self,
@@ -99,12 +87,11 @@ class FreeGraspProgram:
             for side, sign in zip(bounds, (-1.0, 1.0), strict=True)
         )
         x0 = np.concatenate([start.xi.ravel(), start.steps.ravel()]).clip(low, high)
-        with solver_lock:
-            solution = self._solver(x0=x0, p=p, lbx=low, ubx=high)
-        x, cost = np.array(solution["x"]).ravel(), float(solution["f"])
-        if not (np.isfinite(x).all() and np.isfinite(cost)):
+        solution = self._solver.solve(x0, p=p, lbx=low, ubx=high)
+        x = solution.x
+        if not (np.isfinite(x).all() and np.isfinite(solution.f)):
             return start
-        return ChainSolve(x[: 3 * self.size].reshape(-1, 3), x[3 * self.size :].reshape(-1, 6), cost)
+        return ChainSolve(x[: 3 * self.size].reshape(-1, 3), x[3 * self.size :].reshape(-1, 6), solution.f)
 
 
 def _displacement(d: Any) -> Any:

@@ -16,18 +16,19 @@ it may not shrink.
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from regrasp_opt.conventions import FloatArray, planar_transform
-from regrasp_opt.errors import OptionError
 from regrasp_opt.motion.joint_bodies import Rows, configuration_rows, object_rows
 from regrasp_opt.motion.joint_measures import Bounds, Measure
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.robots.casadi_kinematics import flange_jacobian, forward_kinematics
-from regrasp_opt.solvers.nlp_solver import lock as solver_lock
+from regrasp_opt.solvers.nonlinear_program import NonlinearProgram
+from regrasp_opt.solvers.options import ProgramOptions
 
 POSITION_UNIT = 0.1
 """Length that weighs as much as an angle of one radian in kinematic residuals [m]."""
@@ -103,7 +104,7 @@ class JointTask(NamedTuple):
     home : (dof,) or None
         Where the arm starts and ends.
     cost : casadi.Function or None
-        ``J_seq`` as a function of ``xi`` (3, N).
+        ``J_seq`` as a function of ``xi`` (N, 3).
     cost_weight : float
         Weight of ``J_seq`` in the objective.
     reached : bool
@@ -149,34 +150,6 @@ class JointSolve(NamedTuple):
     iterations: int
 
 
-class _Rows:
-    """Constraints of a program: expressions, bounds, names and units."""
-
-    def __init__(self) -> None:
-        self.rows: list[Any] = []
-        self.low: list[float] = []
-        self.high: list[float] = []
-        self.names: list[tuple[str, float, str]] = []
-
-    def add(self, rows: Any, low: Any, high: Any, names: list[str], scale: float = 1.0, unit: str = "") -> None:
-        """Append `rows`; one unit of a row is `scale` of the `unit` that is shown."""
-        self.rows.append(rows)
-        self.low += np.broadcast_to(low, len(names)).tolist()
-        self.high += np.broadcast_to(high, len(names)).tolist()
-        self.names += [(name, scale, unit) for name in names]
-
-    def violation(self, values: FloatArray) -> str:
-        """Return the worst violation at row `values` (M,) in words; empty where there is none."""
-        excess = np.maximum(np.array(self.low) - values, values - np.array(self.high))
-        if not np.isfinite(values).all():
-            return "the solver left numbers that are not finite"
-        worst = int(excess.argmax())
-        if excess[worst] <= FEASIBLE:
-            return ""
-        name, scale, unit = self.names[worst]
-        return f"{name} is violated by {scale * excess[worst]:.2g}{unit}"
-
-
 def solve_joint(
     problem: RegraspProblem, functions: JointFunctions, task: JointTask, ipopt: dict[str, Any]
 ) -> JointSolve:
@@ -188,110 +161,101 @@ def solve_joint(
         If Ipopt refuses an option.
     """
     robot, size = problem.workcell.robot, len(task.xi)
-    xi, q, least = ca.MX.sym("xi", 3, size), ca.MX.sym("q", robot.dof, 2 * size + 2), ca.MX.sym("least")
+    low, high = ([*side, e] for side, e in zip(problem.workcell.bounds.array, (-np.inf, np.inf), strict=True))
+    nlp = NonlinearProgram()
+    xi = nlp.variable("xi", (size, 3), lower=low, upper=high, guess=task.xi)
+    q = nlp.variable(
+        "q", (2 * size + 2, robot.dof), lower=robot.lower, upper=robot.upper, guess=task.q.reshape(-1, robot.dof)
+    )
+    least = nlp.variable("least", lower=-10.0, upper=10.0)
     poses = [ca.MX(ca.DM(task.ends[0]))]
-    poses += [planar(xi[:, i]) @ ca.MX(ca.DM(T)) for i, T in enumerate(task.placements)]
+    poses += [planar(xi[i, :]) @ ca.MX(ca.DM(T)) for i, T in enumerate(task.placements)]
     poses += [ca.MX(ca.DM(task.ends[1]))]
-    rows = _Rows()
     for i in range(size + 1):
         for side in (0, 1):
-            _add_configuration(rows, functions, task, (i, side), q[:, 2 * i + side], poses[i + side], least)
+            _add_configuration(nlp, functions, task, (i, side), q[2 * i + side, :].T, poses[i + side], least)
     for i, T in enumerate(poses[1:-1], start=1):
         margin = np.array(functions.object_clearances.function(task.poses(task.xi)[i])).ravel()
         names = [f"pose {i}: the clearance of {name}" for name in functions.object_clearances.names]
-        rows.add(functions.object_clearances.function(T), np.minimum(0.0, margin), np.inf, names, 1.0, " m")
-    objective = _add_totals(rows, task, xi, q, least)
-    low, high = (
-        np.tile([*side, e], size) for side, e in zip(problem.workcell.bounds.array, (-np.inf, np.inf), strict=True)
-    )
-    lower = np.concatenate([low, np.tile(robot.lower, 2 * size + 2), [-10.0]])
-    upper = np.concatenate([high, np.tile(robot.upper, 2 * size + 2), [10.0]])
-    x = ca.vertcat(ca.vec(xi), ca.vec(q), least)
-    options = {**IPOPT, **ipopt}
-    with solver_lock:
-        solver = _solver({"x": x, "f": objective, "g": ca.vertcat(*rows.rows)}, options)
-        x0 = np.concatenate([task.xi.ravel(), task.q.ravel(), [0.0]])
-        solution = solver(x0=x0, lbx=lower, ubx=upper, lbg=rows.low, ubg=rows.high)
-        stats = solver.stats()
-    found = np.array(solution["x"]).ravel()
-    return JointSolve(
-        found[: 3 * size].reshape(size, 3),
-        found[3 * size : -1].reshape(task.q.shape),
-        str(stats["return_status"]),
-        rows.violation(np.array(solution["g"]).ravel()),
-        int(stats["iter_count"]),
-    )
+        rows = functions.object_clearances.function(T)
+        nlp.add_constraint(f"pose {i}", rows, lower=np.minimum(0.0, margin), labels=names, unit=" m")
+    _add_totals(nlp, task, xi, q, least)
+    solution = nlp.solver(replace(OPTIONS, ipopt=(*OPTIONS.ipopt, *ipopt.items()))).solve(**nlp.arguments)
+    found = nlp.unpack(solution.x)
+    violation = nlp.worst_violation(solution.g, FEASIBLE)
+    return JointSolve(found["xi"], found["q"].reshape(task.q.shape), solution.status, violation, solution.iterations)
 
 
-def _solver(program: dict[str, Any], options: dict[str, Any]) -> Any:
-    try:
-        return ca.nlpsol("joint", "ipopt", program, {"print_time": False, "ipopt": options})
-    except RuntimeError as error:
-        reason = str(error).strip().splitlines()[-1]
-        raise OptionError(f"Ipopt cannot be set up ({reason}); check the options given to it") from error
-
-
-IPOPT = {
-    "print_level": 0,
-    "sb": "yes",
-    "max_iter": 60,
-    "tol": 1e-4,
-    "constr_viol_tol": 1e-7,
-    "mu_init": 1e-3,
-    "hessian_approximation": "limited-memory",  # as many iterations as with exact Hessians, and built in a third
-}
+OPTIONS = ProgramOptions(
+    hessian="limited-memory",  # as many iterations as with exact Hessians, and built in a third
+    max_iterations=60,
+    tolerance=1e-4,
+    ipopt=(("constr_viol_tol", 1e-7), ("mu_init", 1e-3)),
+)
 
 
 def _add_configuration(
-    rows: _Rows, functions: JointFunctions, task: JointTask, which: tuple[int, int], q: Any, T: Any, least: Any
+    nlp: NonlinearProgram,
+    functions: JointFunctions,
+    task: JointTask,
+    which: tuple[int, int],
+    q: Any,
+    T: Any,
+    least: Any,
 ) -> None:
     """Add what holds at pick (side 0) or place (side 1) of a transition: kinematics, clearances, manipulability."""
     i, side = which
     where = f"transition {i}, {('pick', 'place')[side]}"
+
+    def demand(
+        what: str, rows: Any, low: Any, labels: list[str], scale: float, unit: str = "", high: float = np.inf
+    ) -> None:
+        labels = [f"{where}: {label}" for label in labels]
+        nlp.add_constraint(f"{where}: {what}", rows, lower=low, upper=high, labels=labels, scale=scale, unit=unit)
+
     residual, _ = functions.residual(q, T @ ca.MX(ca.DM(task.T_object_flange[i])))
-    rows.add(residual[:3], 0.0, 0.0, [f"{where}: the position of the grasp"] * 3, POSITION_UNIT, " m")
-    rows.add(residual[3:], 0.0, 0.0, [f"{where}: the direction of the grasp"] * 3, 1.0, " rad")
+    demand("position", residual[:3], 0.0, ["the position of the grasp"] * 3, POSITION_UNIT, " m", high=0.0)
+    demand("direction", residual[3:], 0.0, ["the direction of the grasp"] * 3, 1.0, " rad", high=0.0)
 
     clearances, floor = functions.clearances, task.bounds.clearance
     start = task.poses(task.xi)[i + side]
     margin = np.array(clearances.function(task.q[i, side], start, task.width[i])).ravel()
     wanted = np.where(clearances.measured, np.maximum(floor - clearances.required, 0.0), 0.0)
     values = clearances.function(q, T, task.width[i])
-    names = [f"{where}: the clearance of {name}" for name in clearances.names]
+    names = [f"the clearance of {name}" for name in clearances.names]
     low = np.minimum(wanted, margin) if task.reached else np.where(wanted > 0, wanted, np.minimum(margin, 0.0))
-    rows.add(values, low, np.inf, names, 1.0, " m")
+    demand("clearances", values, low, names, 1.0, " m")
     if task.minimise == "clearance":
         measured = np.flatnonzero(clearances.measured).tolist()
-        distance = values[measured] + clearances.required[measured]
-        rows.add(distance / CLEARANCE_UNIT - least, 0.0, np.inf, [names[k] for k in measured], CLEARANCE_UNIT, " m")
+        rows = (values[measured] + clearances.required[measured]) / CLEARANCE_UNIT - least
+        demand("least clearance", rows, 0.0, [names[k] for k in measured], CLEARANCE_UNIT, " m")
 
-    skill = functions.manipulability(q) / MANIPULABILITY_UNIT
-    names = [f"{where}: the manipulability"]
+    manipulability, label = functions.manipulability(q) / MANIPULABILITY_UNIT, ["the manipulability"]
     if task.bounds.manipulability > 0:
-        rows.add(skill, task.bounds.manipulability / MANIPULABILITY_UNIT, np.inf, names, MANIPULABILITY_UNIT)
+        low = task.bounds.manipulability / MANIPULABILITY_UNIT
+        demand("manipulability", manipulability, low, label, MANIPULABILITY_UNIT)
     if task.minimise == "manipulability":
-        rows.add(skill - least, 0.0, np.inf, names, MANIPULABILITY_UNIT)
+        demand("least manipulability", manipulability - least, 0.0, label, MANIPULABILITY_UNIT)
 
 
-def _add_totals(rows: _Rows, task: JointTask, xi: Any, q: Any, least: Any) -> Any:
-    """Add the bounds on travel and cost, and return the objective."""
+def _add_totals(nlp: NonlinearProgram, task: JointTask, xi: Any, q: Any, least: Any) -> None:
+    """Add the bounds on travel and cost, and the objective."""
     home = [] if task.home is None else [ca.MX(ca.DM(task.home))]
-    path = [*home, *ca.horzsplit(q), *home]
+    path = [*home, *[row.T for row in ca.vertsplit(q)], *home]
     legs = [ca.sqrt(ca.sumsqr(b - a) + SMOOTHING**2) for a, b in itertools.pairwise(path)]
     travel = sum(legs[1:], legs[0])
-    objective = travel if task.minimise == "travel" else 0.01 * travel - least
+    nlp.add_cost(travel if task.minimise == "travel" else 0.01 * travel - least)
     if np.isfinite(task.bounds.travel):
-        rows.add(travel, -np.inf, task.bounds.travel, ["the joint travel"], 1.0, " rad")
+        nlp.add_constraint("the joint travel", travel, upper=task.bounds.travel, unit=" rad")
     if task.cost is not None and (task.cost_weight > 0 or np.isfinite(task.bounds.cost)):
         cost = task.cost(xi)
-        objective = objective + task.cost_weight * cost
+        nlp.add_cost(task.cost_weight * cost)
         if np.isfinite(task.bounds.cost):
-            rows.add(cost, -np.inf, task.bounds.cost, ["the cost J_seq"])
-    return objective
+            nlp.add_constraint("the cost J_seq", cost, upper=task.bounds.cost)
 
 
 def planar(xi: Any) -> Any:
-    """Return ``dT(xi)`` (4, 4) of one column of planar parameters (3, 1) (Eq. 6)."""
+    """Return ``dT(xi)`` (4, 4) of one pose's planar parameters (3,) (Eq. 6)."""
     c, s = ca.cos(xi[2]), ca.sin(xi[2])
     T = ca.MX.eye(4)
     T[0, 0], T[0, 1], T[1, 0], T[1, 1] = c, -s, s, c

@@ -251,7 +251,7 @@ class JointSearch:
 
 
 def _connectivity(plan: RegraspPlan, ends: list[PoseKnowledge]) -> tuple[SequenceObjective, Any]:
-    """Return ``J_seq`` with exact ends as an objective and as a `casadi.Function` of ``xi`` (3, N)."""
+    """Return ``J_seq`` with exact ends as an objective and as a `casadi.Function` of ``xi`` (N, 3)."""
     problem = plan.problem
     start, goal = (exact_energy(end.all()) for end in ends)
     objective = problem.objective(start, goal)

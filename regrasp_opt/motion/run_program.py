@@ -26,7 +26,8 @@ import numpy as np
 
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.motion.trajectory import Trajectory
-from regrasp_opt.solvers.nlp_solver import lock as solver_lock
+from regrasp_opt.solvers.nonlinear_program import NonlinearProgram
+from regrasp_opt.solvers.options import ProgramOptions
 
 LINE_STEPS = 12
 """Intervals of each line."""
@@ -46,7 +47,7 @@ SHORTEST = 1e-3
 FEASIBLE = 1e-3
 """Violation of a limit, as a share of it, that slowing down takes back."""
 
-IPOPT = {"print_level": 0, "sb": "yes", "max_iter": 80, "tol": 1e-3, "mu_init": 1e-2}
+OPTIONS = ProgramOptions(max_iterations=80, tolerance=1e-3, ipopt=(("mu_init", 1e-2),))
 
 
 class Line(NamedTuple):
@@ -84,45 +85,46 @@ def _program(dof: int, before: bool, after: bool) -> _RunProgram:
 
 class _RunProgram:
     def __init__(self, dof: int, before: bool, after: bool) -> None:
-        x, rows, time = list[Any](), list[Any](), ca.SX(0)
-        velocity, acceleration = ca.SX.sym("velocity", dof), ca.SX.sym("acceleration", dof)
-        p: list[Any] = [velocity, acceleration]
+        nlp, time = NonlinearProgram(ca.SX), ca.SX(0)
+
+        def limit(name: str, share: Any) -> None:
+            nlp.add_constraint(name, share, lower=-1.0, upper=1.0)
+
+        velocity, acceleration = nlp.parameter("velocity", dof), nlp.parameter("acceleration", dof)
         v_ends = [ca.SX(dof, 1), ca.SX(dof, 1)]
-        for end, present in enumerate((before, after)):
+        for end, (name, present) in enumerate((("before", before), ("after", after))):
             if not present:
                 continue
-            y = ca.SX.sym("y", LINE_STEPS)  # all but the rest
-            slope, bend = (ca.SX.sym(name, dof, LINE_STEPS + 1) for name in ("slope", "bend"))
+            y = nlp.variable(f"speed {name}", LINE_STEPS, lower=SLOWEST)  # all but the rest
+            slope, bend = (nlp.parameter(f"{each} {name}", (dof, LINE_STEPS + 1)) for each in ("slope", "bend"))
             speeds = ca.vertcat(0, y) if end == 0 else ca.vertcat(y, 0)
             time += ca.sum1(2 / LINE_STEPS / (speeds[1:] + speeds[:-1]))
             gain = (speeds[1:] ** 2 - speeds[:-1] ** 2) * LINE_STEPS / 2
-            for k in range(LINE_STEPS):
-                rows += [(slope[:, i] * gain[k] + bend[:, i] * speeds[i] ** 2) / acceleration for i in (k, k + 1)]
-            rows += [slope[:, i] * speeds[i] / velocity for i in range(1 - end, LINE_STEPS + 1 - end)]
+            accelerations = [
+                (slope[:, i] * gain[k] + bend[:, i] * speeds[i] ** 2) / acceleration
+                for k in range(LINE_STEPS)
+                for i in (k, k + 1)
+            ]
+            limit(f"acceleration {name}", ca.vertcat(*accelerations))
+            moving = range(1 - end, LINE_STEPS + 1 - end)
+            limit(f"velocity {name}", ca.vertcat(*[slope[:, i] * speeds[i] / velocity for i in moving]))
             v_ends[end] = slope[:, -1] * y[-1] if end == 0 else slope[:, 0] * y[0]
-            x.append(y)
-            p += [ca.vec(slope), ca.vec(bend)]
-        q_ends = ca.SX.sym("q_ends", dof, 2)
-        Q, V, h = ca.SX.sym("q", dof, STEPS - 1), ca.SX.sym("v", dof, STEPS - 1), ca.SX.sym("h")
-        q = ca.horzcat(q_ends[:, 0], Q, q_ends[:, 1])
-        v = ca.horzcat(v_ends[0], V, v_ends[1])
+        Q, V = nlp.variable("q", (STEPS - 1, dof)), nlp.variable("v", (STEPS - 1, dof))
+        h = nlp.variable("h", lower=SHORTEST)
+        q_ends = nlp.parameter("ends", (dof, 2))
+        q = ca.horzcat(q_ends[:, 0], Q.T, q_ends[:, 1])
+        v = ca.horzcat(v_ends[0], V.T, v_ends[1])
         step, first, last = (q[:, 1:] - q[:, :-1]) / h, v[:, :-1], v[:, 1:]
         spread = ca.repmat(acceleration * h, 1, STEPS)
         a_first, a_last = (6 * step - 4 * first - 2 * last) / spread, (2 * first + 4 * last - 6 * step) / spread
         middle = 1.5 * step - (first + last) / 4
-        rows += [ca.vec(a_first), ca.vec(a_last)]
-        rows += [ca.vec(each / ca.repmat(velocity, 1, each.shape[1])) for each in (V, middle)]
-        time += STEPS * h
+        for name, share in (("first acceleration", a_first), ("last acceleration", a_last)):
+            limit(name, ca.vec(share))
+        for name, each in (("velocity", V.T), ("velocity between", middle)):
+            limit(name, ca.vec(each / ca.repmat(velocity, 1, each.shape[1])))
         effort = ca.sumsqr(a_first) + ca.sumsqr(a_last)
-        program: dict[str, Any] = {
-            "x": ca.vertcat(*x, ca.vec(Q), ca.vec(V), h),
-            "p": ca.vertcat(*p, ca.vec(q_ends)),
-            "f": time + SMOOTHNESS / (2 * STEPS * dof) * effort,
-            "g": ca.vertcat(*rows),
-        }
-        settings: dict[str, Any] = {"print_time": False, "ipopt": IPOPT}
-        self._solver = ca.nlpsol("run", "ipopt", program, settings)
-        self._limits = ca.Function("limits", [program["x"], program["p"]], [program["g"]])
+        nlp.add_cost(time + STEPS * h + SMOOTHNESS / (2 * STEPS * dof) * effort)
+        self._solver = nlp.solver(OPTIONS)
 
     def solve(
         self,
@@ -144,12 +146,8 @@ class _RunProgram:
         p = np.concatenate(
             [velocity, acceleration, *(part.ravel() for line, _ in lines for part in line[1:]), q[0], q[-1]]
         )
-        with solver_lock:
-            x = np.array(self._solver(x0=x0, p=p, lbx=low, ubx=high, lbg=-1, ubg=1)["x"]).ravel()
-            shares = np.array(self._limits(x, p)).ravel()
-        if not np.isfinite(x).all() or np.abs(shares).max() > 1 + FEASIBLE:
-            return None
-        return self._parts(x, lines, q)
+        solution = self._solver.solve(x0, p=p, lbx=low, ubx=high, lbg=-1, ubg=1)
+        return self._parts(solution.x, lines, q) if solution.violation <= FEASIBLE else None
 
     @staticmethod
     def _parts(x: FloatArray, lines: list[tuple[Line, int]], guess: FloatArray) -> list[Trajectory]:

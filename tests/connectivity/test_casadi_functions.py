@@ -24,32 +24,32 @@ OPTIONS = [CostOptions(), CostOptions(alpha=0.4, lambda_reg=2.0), CostOptions(va
 
 @pytest.fixture
 def make_problem_energy(make_energy):
-    """Return a maker of a random energy with four random placements, energies (G, 2) at both ends, and xi (3, 2)."""
+    """Return a maker of a random energy with four random placements, energies (G, 2) at both ends, and xi (2, 3)."""
 
     def make(**keywords):
         energy, rng = make_energy(**keywords), np.random.default_rng(5)
         bound = ProblemEnergy(energy.model, energy.grasps, random_transforms(rng, 4))
-        return bound, rng.uniform(0, 4, (len(energy), 2)), rng.normal(size=(3, 2))
+        return bound, rng.uniform(0, 4, (len(energy), 2)), rng.normal(size=(2, 3))
 
     return make
 
 
 def numpy_cost(energy, options, xi, ends):
-    middle = energy(planar_transform(xi.T) @ energy.placements[PLACEMENTS])
+    middle = energy(planar_transform(xi) @ energy.placements[PLACEMENTS])
     return float(sequence_cost(np.concatenate([ends[None, :, 0], middle, ends[None, :, 1]]), options))
 
 
 def plain(energy, variable, ends, options):
-    """Return E, Q and J as plainly built expressions of planar parameters (3, 2) or of two poses (4, 8)."""
+    """Return E, Q and J as plainly built expressions of planar parameters (2, 3) or of two poses (8, 4)."""
     expressions = CasadiEnergy(energy.model, len(energy))
-    if variable.shape[0] == 3:
+    if variable.shape[1] == 3:
         layers = [expressions.layer(energy.planar_layer(T)) for T in energy.placements[PLACEMENTS]]
-        energies = [expressions.planar_expression(layer, variable[:, i]) for i, layer in enumerate(layers)]
+        energies = [expressions.planar_expression(layer, variable[i, :].T) for i, layer in enumerate(layers)]
     else:
-        energies = [expressions.pose_expression(energy, T) for T in ca.horzsplit(variable, 4)]
+        energies = [expressions.pose_expression(energy, T) for T in ca.vertsplit(variable, 4)]
     chain = [ends[0], *energies, ends[1]]
     scores = [pair_score(a, b, options) for a, b in itertools.pairwise(chain)]
-    return ca.horzcat(*energies), ca.vertcat(*scores), cost_of_scores(scores, options.regularisation)
+    return ca.horzcat(*energies).T, ca.vertcat(*scores), cost_of_scores(scores, options.regularisation)
 
 
 def with_derivatives(expression, variables):
@@ -72,13 +72,13 @@ def test_derivatives_in_a_larger_graph_are_those_of_plain_expressions(make_probl
     energy, ends, xi = make_problem_energy(bounded=bounded)
     start, goal = ca.MX.sym("start", 12), ca.MX.sym("goal", 12)
     if over == "planar":
-        variable, numbers = ca.MX.sym("xi", 3, 2), xi
+        variable, numbers = ca.MX.sym("xi", 2, 3), xi
         E, Q_pair, J_seq = energy.casadi_functions(placements=PLACEMENTS, start="input", goal="input", options=options)
     else:
-        variable, numbers = ca.MX.sym("T", 4, 8), np.hstack(random_transforms(np.random.default_rng(1), 2))
+        variable, numbers = ca.MX.sym("T", 8, 4), np.vstack(random_transforms(np.random.default_rng(1), 2))
         E, Q_pair, J_seq = energy.casadi_pose_functions(num_poses=2, start="input", goal="input", options=options)
     variables, numbers = [variable, start, goal], [numbers, *ends.T]
-    weights = ca.DM(np.random.default_rng(2).normal(size=(12, 2)))
+    weights = ca.DM(np.random.default_rng(2).normal(size=(2, 12)))
     plain_E, plain_Q, plain_J = plain(energy, variable, [start, goal], options)
     for name, ours, reference, wrap in (
         ("E", E(variable), plain_E, lambda e: ca.dot(weights, ca.sin(e))),
@@ -100,10 +100,10 @@ def test_the_planners_functions_have_the_derivatives_of_the_plain_cost(make_ener
     expressions = CasadiEnergy(energy.model, len(energy))
     layers = layers_parameter(energy, random_transforms(rng, num_regrasps))
     rest = [layers, *rng.uniform(0, 4, (2, len(energy)))]
-    x = ca.MX.sym("xi", 3, num_regrasps)
+    x = ca.MX.sym("xi", num_regrasps, 3)
     ours = parametric_functions(expressions, options, num_regrasps).J_seq
     assert ours.is_diff_in() == [True, False, False, False]
-    xi = rng.normal(size=(3, num_regrasps))
+    xi = rng.normal(size=(num_regrasps, 3))
     fast = with_derivatives(ours(x, *rest), [x])
     reference = with_derivatives(plain_sequence_cost(expressions, options, num_regrasps)(x, *rest), [x])
     for a, b in zip(fast(xi), reference(xi), strict=True):
@@ -117,7 +117,7 @@ def test_the_planners_functions_take_blocked_grasps_as_an_input(make_problem_ene
     ours = parametric_functions(CasadiEnergy(energy.model, 12), CostOptions(), 2, blocking=True)
     assert ours.J_seq.name_in() == ["xi", "layers", "blocked", "start", "goal"]
     rest = [layers_parameter(energy, energy.placements[PLACEMENTS]), blocked.T, *ends.T]
-    x = ca.MX.sym("xi", 3, 2)
+    x = ca.MX.sym("xi", 2, 3)
     found = with_derivatives(ours.J_seq(x, *rest) + ca.sumsqr(ours.Q_pair(x, *rest)), [x])
     expected = with_derivatives(given.J_seq(x) + ca.sumsqr(given.Q_pair(x)), [x])
     for a, b in zip(found(xi), expected(xi), strict=True):
@@ -127,7 +127,7 @@ def test_the_planners_functions_take_blocked_grasps_as_an_input(make_problem_ene
 def test_blocks_of_grasps_give_the_same_derivatives(make_energy, monkeypatch):
     energy, rng = make_energy(grasps=23), np.random.default_rng(3)
     rest = [layers_parameter(energy, random_transforms(rng, 2)), *rng.uniform(0, 4, (2, 23))]
-    x, xi = ca.MX.sym("xi", 3, 2), rng.normal(size=(3, 2))
+    x, xi = ca.MX.sym("xi", 2, 3), rng.normal(size=(2, 3))
     found = []
     for block in (256, 5):
         monkeypatch.setattr("regrasp_opt.energy.casadi_blocks.BLOCK", block)
@@ -142,14 +142,14 @@ def test_blocks_of_grasps_give_the_same_derivatives(make_energy, monkeypatch):
 def test_derivatives_match_finite_differences(make_problem_energy, activation):
     energy, ends, xi = make_problem_energy(activation=activation)
     E, Q_pair, J_seq = energy.casadi_functions(placements=PLACEMENTS, start=ends[:, 0], goal=ends[:, 1])
-    x = ca.MX.sym("xi", 3, 2)
+    x = ca.MX.sym("xi", 2, 3)
     rows = ca.vertcat(J_seq(x), Q_pair(x), ca.vec(E(x)))
     total = J_seq(x) * Q_pair(x)[1] + ca.sumsqr(E(x))
     jacobian = ca.Function("jacobian", [x], [ca.densify(ca.jacobian(rows, x)), rows])
     both = with_derivatives(total, [x])
 
     def at(v):
-        return v.reshape(2, 3).T
+        return v.reshape(3, 2).T
 
     v = xi.T.ravel()
     assert_derivative(lambda v: np.array(jacobian(at(v))[1])[:, 0], np.array(jacobian(xi)[0]), v)
@@ -162,23 +162,23 @@ def test_poses_from_kinematics_give_the_planar_values(make_problem_energy):
     arguments = {"start": ends[:, 0], "goal": ends[:, 1]}
     planar = energy.casadi_functions(placements=PLACEMENTS, **arguments)
     full = energy.casadi_pose_functions(num_poses=2, **arguments)
-    T = np.hstack(planar_transform(xi.T) @ energy.placements[PLACEMENTS])
+    T = np.vstack(planar_transform(xi) @ energy.placements[PLACEMENTS])
     for a, b in zip(planar, full, strict=True):
         np.testing.assert_allclose(np.array(a(xi)), np.array(b(T)), atol=1e-12)
-    np.testing.assert_allclose(np.array(full.E(T)).T, energy(np.reshape(T, (4, 2, 4)).swapaxes(0, 1)), atol=1e-12)
+    np.testing.assert_allclose(np.array(full.E(T)), energy(T.reshape(2, 4, 4)), atol=1e-12)
     assert float(full.J_seq(T)) == pytest.approx(numpy_cost(energy, CostOptions(), xi, ends), abs=1e-12)
 
 
 def test_names_and_shapes_are_those_of_the_documentation(make_problem_energy):
     energy, ends, _ = make_problem_energy()
     E, Q_pair, J_seq = energy.casadi_functions(placements=PLACEMENTS, start="input", goal="input", mask="input")
-    assert (E.name_in(), E.name_out(), E.size_in(0), E.size_out(0)) == (["xi"], ["E"], (3, 2), (12, 2))
+    assert (E.name_in(), E.name_out(), E.size_in(0), E.size_out(0)) == (["xi"], ["E"], (2, 3), (2, 12))
     assert (Q_pair.name_in(), Q_pair.name_out()) == (["xi", "start", "goal", "mask"], ["Q"])
     assert (Q_pair.size_in("start"), Q_pair.size_in("mask"), Q_pair.size_out(0)) == ((12, 1), (12, 1), (3, 1))
     assert (J_seq.name_in(), J_seq.name_out(), J_seq.size_out(0)) == (Q_pair.name_in(), ["J"], (1, 1))
     assert J_seq.is_diff_in() == [True, True, True, False]
     _, Q_pair, J_seq = energy.casadi_pose_functions(num_poses=3, start=ends[:, 0])
-    assert (J_seq.name_in(), J_seq.size_in(0), Q_pair.size_out(0)) == (["T"], (4, 12), (3, 1))
+    assert (J_seq.name_in(), J_seq.size_in(0), Q_pair.size_out(0)) == (["T"], (12, 4), (3, 1))
 
 
 def test_a_chain_may_lack_either_end_and_needs_no_pair(make_problem_energy):
@@ -191,17 +191,17 @@ def test_a_chain_may_lack_either_end_and_needs_no_pair(make_problem_energy):
     np.testing.assert_allclose(np.array(neither.Q_pair(xi)), scores[1:2], atol=1e-12)
     assert float(neither.J_seq(xi)) == pytest.approx(float(scores[1, 0]))
     alone = energy.casadi_functions(placements=[1])
-    assert alone.Q_pair(xi[:, :1]).shape == (0, 1) and float(alone.J_seq(xi[:, :1])) == 0.0
-    x = ca.MX.sym("xi", 3)
-    assert np.isfinite(np.array(with_derivatives(ca.sumsqr(alone.E(x)), [x])(xi[:, 0])[2])).all()
+    assert alone.Q_pair(xi[:1]).shape == (0, 1) and float(alone.J_seq(xi[:1])) == 0.0
+    x = ca.MX.sym("xi", 1, 3)
+    assert np.isfinite(np.array(with_derivatives(ca.sumsqr(alone.E(x)), [x])(xi[:1])[2])).all()
 
 
 def test_a_chain_without_intermediate_poses_is_one_pair(make_problem_energy):
     energy, ends, _ = make_problem_energy()
     E, Q_pair, J_seq = energy.casadi_functions(placements=[], start=ends[:, 0], goal=ends[:, 1])
-    assert E(np.zeros((3, 0))).shape == (12, 0)
-    assert float(J_seq(np.zeros((3, 0)))) == pytest.approx(-np.log(np.exp(-ends.sum(axis=1)).sum()))
-    assert Q_pair(np.zeros((3, 0))).shape == (1, 1)
+    assert E(np.zeros((0, 3))).shape == (0, 12)
+    assert float(J_seq(np.zeros((0, 3)))) == pytest.approx(-np.log(np.exp(-ends.sum(axis=1)).sum()))
+    assert Q_pair(np.zeros((0, 3))).shape == (1, 1)
 
 
 @pytest.mark.parametrize("over", ["planar", "pose"])
@@ -215,13 +215,13 @@ def test_a_mask_leaves_grasps_out(make_problem_energy, over):
             return of.casadi_functions(placements=PLACEMENTS, start=ends[:, 0], goal=ends[:, 1], mask=mask)
         return of.casadi_pose_functions(num_poses=2, start=ends[:, 0], goal=ends[:, 1], mask=mask)
 
-    x = xi if over == "planar" else np.hstack(planar_transform(xi.T) @ energy.placements[PLACEMENTS])
+    x = xi if over == "planar" else np.vstack(planar_transform(xi) @ energy.placements[PLACEMENTS])
     expected = np.array(functions(few, ends[mask], None).Q_pair(x))
     constant, given = functions(energy, ends, mask), functions(energy, ends, "input")
     np.testing.assert_allclose(np.array(constant.Q_pair(x)), expected, atol=1e-12)
     np.testing.assert_allclose(np.array(given.Q_pair(x, mask)), expected, atol=1e-9)
     np.testing.assert_allclose(np.array(given.Q_pair(x, np.zeros(12)) - given.Q_pair(x, np.ones(12))), BLOCKED)
-    assert constant.E(x).shape == (12, 2)
+    assert constant.E(x).shape == (2, 12)
 
 
 @pytest.mark.parametrize("over", ["planar", "pose"])
@@ -229,14 +229,14 @@ def test_blocked_grasps_have_a_fixed_energy(make_problem_energy, over):
     energy, ends, xi = make_problem_energy()
     blocked = np.random.default_rng(7).random((2, 12)) < 0.4
     arguments = {"start": ends[:, 0], "goal": ends[:, 1], "blocked": blocked}
-    T = np.hstack(planar_transform(xi.T) @ energy.placements[PLACEMENTS])
+    T = np.vstack(planar_transform(xi) @ energy.placements[PLACEMENTS])
     if over == "planar":
-        functions, x, numbers = energy.casadi_functions(placements=PLACEMENTS, **arguments), ca.MX.sym("xi", 3, 2), xi
+        functions, x, numbers = energy.casadi_functions(placements=PLACEMENTS, **arguments), ca.MX.sym("xi", 2, 3), xi
     else:
-        functions, x, numbers = energy.casadi_pose_functions(num_poses=2, **arguments), ca.MX.sym("T", 4, 8), T
+        functions, x, numbers = energy.casadi_pose_functions(num_poses=2, **arguments), ca.MX.sym("T", 8, 4), T
     learned = plain(energy, x, [ca.DM(ends[:, 0]), ca.DM(ends[:, 1])], CostOptions())[0]
-    kept = ca.if_else(ca.DM(blocked.T.astype(float)), BLOCKED, learned)
-    chain = [ca.DM(ends[:, 0]), *ca.horzsplit(kept), ca.DM(ends[:, 1])]
+    kept = ca.if_else(ca.DM(blocked.astype(float)), BLOCKED, learned)
+    chain = [ca.DM(ends[:, 0]), *ca.horzsplit(kept.T), ca.DM(ends[:, 1])]
     scores = [pair_score(a, b, CostOptions()) for a, b in itertools.pairwise(chain)]
     ours = functions.J_seq(x) + ca.sumsqr(ca.sin(functions.E(x)))
     reference = cost_of_scores(scores, 0.5) + ca.sumsqr(ca.sin(kept))
@@ -248,7 +248,7 @@ def test_blocked_grasps_have_a_fixed_energy(make_problem_energy, over):
 def test_functions_are_saved_loaded_and_mapped_with_their_derivatives(make_problem_energy, tmp_path, blas):
     energy, ends, xi = make_problem_energy()
     functions = energy.casadi_functions(placements=PLACEMENTS, start=ends[:, 0], goal=ends[:, 1], blas=blas)
-    x, batch = ca.MX.sym("xi", 3, 2), ca.MX.sym("batch", 3, 6)
+    x, batch = ca.MX.sym("xi", 2, 3), ca.MX.sym("batch", 2, 9)
     for original, name in zip(functions, ("E", "Q_pair", "J_seq"), strict=True):
         original.save(str(tmp_path / name))
         loaded = ca.Function.load(str(tmp_path / name))
@@ -271,9 +271,9 @@ def test_generated_c_of_values_and_derivatives_needs_no_library(make_problem_ene
     energy, ends, xi = make_problem_energy()
     arguments = {"start": ends[:, 0], "goal": ends[:, 1], "blas": "reference"}
     if over == "planar":
-        x, numbers, functions = ca.MX.sym("xi", 3, 2), xi, energy.casadi_functions(placements=PLACEMENTS, **arguments)
+        x, numbers, functions = ca.MX.sym("xi", 2, 3), xi, energy.casadi_functions(placements=PLACEMENTS, **arguments)
     else:
-        x, numbers = ca.MX.sym("T", 4, 8), np.hstack(planar_transform(xi.T) @ energy.placements[PLACEMENTS])
+        x, numbers = ca.MX.sym("T", 8, 4), np.vstack(planar_transform(xi) @ energy.placements[PLACEMENTS])
         functions = energy.casadi_pose_functions(num_poses=2, **arguments)
     function = with_derivatives(functions.J_seq(x), [x])
     monkeypatch.chdir(tmp_path)
@@ -287,7 +287,7 @@ def test_generated_c_of_values_and_derivatives_needs_no_library(make_problem_ene
 
 def test_extreme_energies_and_alpha_stay_finite(make_problem_energy):
     energy, ends, xi = make_problem_energy()
-    x = ca.MX.sym("xi", 3, 2)
+    x = ca.MX.sym("xi", 2, 3)
     for alpha in (1e-3, 1e3):
         J_seq = energy.casadi_functions(
             placements=PLACEMENTS, start=1e3 * ends[:, 0], goal=1e3 * ends[:, 1], options=CostOptions(alpha=alpha)
@@ -314,7 +314,7 @@ def test_the_truncated_cost_equals_numpy(make_problem_energy, h):
         ({"mask": np.zeros(12, dtype=bool)}, OptionError, "mask leaves no grasp"),
         ({"mask": np.ones(11, dtype=bool)}, OptionError, "neither 12 booleans"),
         ({"mask": np.ones(12)}, OptionError, "neither 12 booleans"),
-        ({"blocked": np.zeros((1, 12), dtype=bool)}, OptionError, r"no array of booleans \(2, 12\)"),
+        ({"blocked": np.zeros((1, 12), dtype=bool)}, OptionError, r"must be a boolean array \(2, 12\)"),
         ({"blas": "fast"}, OptionError, "blas is 'fast'; use one of classic, reference"),
     ],
 )
@@ -327,7 +327,7 @@ def test_a_single_pose_may_move(make_problem_energy):
     energy, ends, xi = make_problem_energy()
     options = CostOptions(alpha=0.6)
     full = energy.casadi_pose_functions(num_poses=np.int64(1), start=ends[:, 0], goal=ends[:, 1], options=options)
-    T = planar_transform(xi[:, 0]) @ energy.placements[PLACEMENTS[0]]
+    T = planar_transform(xi[0]) @ energy.placements[PLACEMENTS[0]]
     chain = np.vstack([ends[:, 0], energy(T), ends[:, 1]])
     assert full.J_seq.size_in(0) == (4, 4)
     assert float(full.J_seq(T)) == pytest.approx(float(sequence_cost(chain, options)), abs=1e-12)

@@ -292,7 +292,7 @@ def test_bad_input_is_refused(plan, bottle_problem):
     for name in ("travel", "clearance", "manipulability", "cost"):
         with pytest.raises(OptionError, match=f"the bound on the {name} is nan; give a number"):
             Bounds(**{name: float("nan")})
-    with pytest.raises(OptionError, match="Ipopt cannot be set up"):
+    with pytest.raises(OptionError, match="cannot set up the plugin 'ipopt'"):
         refine_plan(plan, options=SearchOptions(starts=1, rounds=1, ipopt={"no_such_option": 1}))
     with pytest.raises(OptionError, match="starts is 0"):
         SearchOptions(starts=0)

@@ -21,18 +21,18 @@ def plan(bottle_problem, ends):
 
 def test_it_finds_what_the_planner_finds_and_grasps_remain(bottle_problem, ends, plan):
     nlp = bottle_problem.nlp(*ends, placements=plan.placements, guess=plan.xi)
-    assert float(nlp.functions.J_seq(plan.xi.T)) == pytest.approx(plan.cost, abs=1e-9)
+    assert float(nlp.functions.J_seq(plan.xi)) == pytest.approx(plan.cost, abs=1e-9)
     solution = nlp.solve()
     assert solution.converged and solution.f <= plan.cost + 1e-9
-    found = bottle_problem.pose(plan.placements[0], *nlp.unpack(solution.x)["xi"][:, 0])
+    found = bottle_problem.pose(plan.placements[0], *nlp.unpack(solution.x)["xi"][0])
     feasible = np.array([bottle_problem.feasible_grasps(T) for T in (ends[0], found, ends[1])])
     assert (feasible[:-1] & feasible[1:]).any(axis=1).all()
 
 
 def test_placements_and_guess_come_from_the_lattice(bottle_problem, ends):
     nlp = bottle_problem.nlp(*ends, num_regrasps=2)
-    assert nlp.xi.shape == (3, 2)
-    assert nlp.solve().f < float(nlp.functions.J_seq(nlp.arguments["x0"].reshape(2, 3).T))
+    assert nlp.xi.shape == (2, 3)
+    assert nlp.solve().f < float(nlp.functions.J_seq(nlp.arguments["x0"].reshape(2, 3)))
     fixed = bottle_problem.nlp(*ends, placements=[0])
     low, high = bottle_problem.workcell.bounds.array
     assert (fixed.arguments["x0"][:2] >= low).all() and (fixed.arguments["x0"][:2] <= high).all()

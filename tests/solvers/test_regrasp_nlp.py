@@ -47,7 +47,7 @@ def extend(nlp):
     slack = nlp.variable("slack", 2, lower=0.0, upper=2.0, guess=[0.5, 0.6])
     weight = nlp.parameter("weight", value=3.0)
     nlp.add_cost(weight * ca.sum1(slack))
-    away = ca.vertcat(*[ca.sumsqr(nlp.xi[:2, i] - CAMERA) for i in range(2)])
+    away = ca.vertcat(*[ca.sumsqr(nlp.xi[i, :2].T - CAMERA) for i in range(2)])
     nlp.add_constraint("near", away - slack, upper=0.0)
     nlp.add_constraint("pairs", nlp.scores, lower=-50.0, upper=0.0)
 
@@ -72,9 +72,9 @@ def test_the_program_has_the_parts_that_casadi_solves(make_nlp):
     assert solution.converged and solution.violation <= 1e-7
     assert solution.f == pytest.approx(float(by_hand["f"]), abs=1e-4)
     values = nlp.unpack(solution.x)
-    assert values["xi"].shape == (3, 2) and values["slack"].shape == (2, 1)
+    assert values["xi"].shape == (2, 3) and values["slack"].shape == (2, 1)
     np.testing.assert_allclose(
-        values["slack"][:, 0], ((values["xi"][:2] - np.array(CAMERA)) ** 2).sum(axis=0), atol=1e-4
+        values["slack"][:, 0], ((values["xi"][:, :2] - np.array(CAMERA).ravel()) ** 2).sum(axis=1), atol=1e-4
     )
 
 
@@ -111,7 +111,7 @@ def test_opti_finds_the_same_optimum(make_nlp, extended):
     found = opti.solve()
     solution = nlp.solve()
     assert found.value(terms.cost) == pytest.approx(solution.f, abs=1e-4)
-    poses = [planar_transform(xi.T) for xi in (found.value(terms.values["xi"]), nlp.unpack(solution.x)["xi"])]
+    poses = [planar_transform(xi) for xi in (found.value(terms.values["xi"]), nlp.unpack(solution.x)["xi"])]
     np.testing.assert_allclose(*poses, atol=1e-3)
     assert found.value(terms.scores).shape == (3,)
     assert set(terms.values) == {"xi", "goal", *(("slack", "weight") if extended else ())}
@@ -122,8 +122,8 @@ def test_derivatives_in_an_opti_problem_match_finite_differences(setting):
     energy, ends = setting
     E, Q_pair, J_seq = energy.casadi_functions(placements=PLACEMENTS, start=ends[0], goal=ends[1])
     opti = ca.Opti()
-    xi, u = opti.variable(3, 2), opti.variable(2)
-    moved = xi + 0.1 * ca.vertcat(ca.sin(u.T), ca.cos(u.T), u.T**2)
+    xi, u = opti.variable(2, 3), opti.variable(2)
+    moved = xi + 0.1 * ca.horzcat(ca.sin(u), ca.cos(u), u**2)
     opti.minimize(J_seq(moved) * (1 + ca.sumsqr(u)) + ca.sumsqr(E(moved)) / 100)
     opti.subject_to(Q_pair(moved) <= u[0])
     lagrangian = opti.f + ca.dot(ca.DM([0.3, 0.0, 2.0]), opti.g)
@@ -153,8 +153,8 @@ def test_an_unreachable_constraint_is_not_hidden(make_nlp):
         (lambda nlp: nlp.variable("a", lower=1, upper=0), "lower bound above its upper"),
         (lambda nlp: nlp.set_parameter("b", 1.0), "there is no parameter 'b'; there are: none"),
         (lambda nlp: (nlp.parameter("c"), nlp.arguments), "parameter 'c' has no value"),
-        (lambda nlp: nlp.add_cost(nlp.xi), r"a cost has shape \(3, 2\)"),
-        (lambda nlp: [nlp.add_constraint("d", nlp.xi[0], upper=1) for _ in range(2)], "constraint 'd' already"),
+        (lambda nlp: nlp.add_cost(nlp.xi), r"a cost has shape \(2, 3\)"),
+        (lambda nlp: [nlp.add_constraint("d", nlp.xi[0, 0], upper=1) for _ in range(2)], "constraint 'd' already"),
         (lambda nlp: (nlp.add_cost(ca.MX.sym("z")), nlp.solve()), "'z' is neither a variable nor a parameter"),
         (lambda nlp: (nlp.add_cost(ca.MX.sym("z")), nlp.add_to_opti(ca.Opti())), "'z' is neither a variable"),
         (lambda nlp: RegraspNLP(nlp.functions, BOUNDS, GUESS[:1]), r"guess has shape \(1, 3\); give 2 finite rows"),
