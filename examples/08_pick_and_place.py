@@ -50,7 +50,7 @@ def carry(plan: RegraspPlan, weight: float) -> Outcome:
 
     opti = ca.Opti()
     q, v = opti.variable(robot.dof, STEPS + 1), opti.variable(robot.dof, STEPS + 1)
-    a, duration, xi = opti.variable(robot.dof, STEPS), opti.variable(), opti.variable(1, 3)
+    a, duration, xi = opti.variable(robot.dof, STEPS), opti.variable(), opti.variable(3)
     h = duration / STEPS
     opti.subject_to(v[:, 1:] == v[:, :-1] + h * a)
     opti.subject_to(q[:, 1:] == q[:, :-1] + h * v[:, :-1] + h**2 / 2 * a)
@@ -77,7 +77,7 @@ def carry(plan: RegraspPlan, weight: float) -> Outcome:
     low, high = problem.workcell.bounds.array
     opti.subject_to(opti.bounded(low, xi[:2], high))
 
-    score = ca.sum1(functions.Q_pair(xi))
+    score = ca.sum1(functions.Q_pair(xi.T))
     opti.minimize(duration + weight * score + 1e-4 * ca.sumsqr(a) / STEPS)
     opti.set_initial(xi, plan.xi[0])
     opti.set_initial(duration, 2.0)
