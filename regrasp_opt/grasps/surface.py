@@ -12,8 +12,29 @@ from regrasp_opt.conventions import FloatArray, IntArray
 CREASE_ANGLE = np.deg2rad(25.0)
 """Edges that bend more than this are creases [rad]."""
 
-CHUNK = 4_000_000
-"""Ray-triangle pairs that are held in memory at once."""
+CHUNK = 20_000
+"""Rays that are cast at once."""
+
+LEAF = 4
+"""Triangles in each of the smallest boxes of a surface."""
+
+ROUNDING = 1e-9
+"""How far beside a box a ray still counts as meeting it [m]."""
+
+
+class BoxTree(NamedTuple):
+    """Boxes around a surface, halved again and again: what lets a ray skip most triangles.
+
+    Attributes
+    ----------
+    levels : tuple of (centers, halves)
+        Boxes of each level, (2**k, 3) each [m]; box i has the boxes 2 i and 2 i + 1 of the next level inside.
+    leaves : IntArray
+        Triangles in each box of the last level (2**K, LEAF), filled up with numbers from F on.
+    """
+
+    levels: tuple[tuple[FloatArray, FloatArray], ...]
+    leaves: IntArray
 
 
 class Surface(NamedTuple):
@@ -31,6 +52,8 @@ class Surface(NamedTuple):
         Ends (C, 2, 3) of the edges at which the surface bends by more than `CREASE_ANGLE` [m].
     crease_angles : FloatArray
         How much it bends there (C,) [rad].
+    tree : BoxTree
+        Boxes around its triangles.
     """
 
     triangles: FloatArray
@@ -38,6 +61,7 @@ class Surface(NamedTuple):
     areas: FloatArray
     creases: FloatArray
     crease_angles: FloatArray
+    tree: BoxTree
 
 
 class Hits(NamedTuple):
@@ -57,7 +81,26 @@ def make_surface(mesh: trimesh.Trimesh) -> Surface:
     bend = np.array(mesh.face_adjacency_angles, dtype=np.float64)
     sharp = bend > CREASE_ANGLE
     creases = np.array(mesh.vertices, dtype=np.float64)[mesh.face_adjacency_edges[sharp]]
-    return Surface(triangles[kept], cross[kept] / length[kept, None], length[kept] / 2, creases, bend[sharp])
+    normals, areas = cross[kept] / length[kept, None], length[kept] / 2
+    return Surface(triangles[kept], normals, areas, creases, bend[sharp], _box_tree(triangles[kept]))
+
+
+def _box_tree(triangles: FloatArray) -> BoxTree:
+    """Return boxes around `triangles` (F, 3, 3), each halved across the longest side of its triangles' middles."""
+    count = len(triangles)
+    depth = int(np.ceil(np.log2(max(count, LEAF) / LEAF)))
+    low, high = triangles.min(axis=1), triangles.max(axis=1)
+    middle = (low + high) / 2
+    order, levels = np.arange(LEAF << depth)[None], []
+    for level in range(depth + 1):
+        part = order % count
+        start, end = low[part].min(axis=1), high[part].max(axis=1)
+        levels.append(((start + end) / 2, (end - start) / 2))
+        if level < depth:
+            axis = np.ptp(middle[part], axis=1).argmax(axis=1)
+            rank = np.argsort(middle[part, axis[:, None]], axis=1, kind="stable")
+            order = np.take_along_axis(order, rank, axis=1).reshape(2 * len(order), -1)
+    return BoxTree(tuple(levels), order)
 
 
 def sample_points(surface: Surface, count: int, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
@@ -70,33 +113,51 @@ def sample_points(surface: Surface, count: int, rng: np.random.Generator) -> tup
 
 
 def cast_rays(surface: Surface, origins: FloatArray, directions: FloatArray) -> Hits:
-    """Return every crossing of the lines through `origins` (R, 3) along unit `directions` (R, 3).
+    """Return every crossing of the lines through `origins` (R, 3) along unit `directions` (R, 3), by ray and triangle.
 
-    A line that meets a triangle passes all its edges on the same side (Pluecker coordinates), which makes the
-    test three matrix products for many rays and triangles at once.
+    A line that meets a triangle passes all its edges on the same side (Pluecker coordinates).
     """
-    corners = surface.triangles
-    edges = [
-        np.hstack([np.cross(corners[:, i], corners[:, j]), corners[:, j] - corners[:, i]])
-        for i, j in ((0, 1), (1, 2), (2, 0))
-    ]
     nothing = np.zeros(0, dtype=np.int64)
     found = [(nothing, nothing, np.zeros(0))]
-    step = max(1, CHUNK // max(len(corners), 1))
-    for start in range(0, len(origins), step):
-        origin, direction = origins[start : start + step], directions[start : start + step]
-        line = np.hstack([direction, np.cross(origin, direction)])
-        sides = [line @ edge.T for edge in edges]
-        low = np.minimum(np.minimum(sides[0], sides[1]), sides[2])
-        high = np.maximum(np.maximum(sides[0], sides[1]), sides[2])
-        ray, face = np.nonzero((low >= 0) | (high <= 0))
-        slope = np.einsum("ij,ij->i", direction[ray], surface.normals[face])
-        crossing = np.abs(slope) > 1e-9
-        ray, face, slope = ray[crossing], face[crossing], slope[crossing]
-        height = np.einsum("ij,ij->i", corners[face, 0] - origin[ray], surface.normals[face])
-        found.append((ray + start, face, height / slope))
+    for start in range(0, len(origins), CHUNK):
+        origin, direction = origins[start : start + CHUNK], directions[start : start + CHUNK]
+        ray, face = _candidates(surface, origin, direction)
+        corners, line = surface.triangles[face] - origin[ray, None], direction[ray]
+        sides = [_triple(line, corners[:, i], corners[:, j]) for i, j in ((0, 1), (1, 2), (2, 0))]
+        met = (np.minimum.reduce(sides) >= 0) | (np.maximum.reduce(sides) <= 0)
+        slope = np.einsum("ij,ij->i", line, surface.normals[face])
+        met &= np.abs(slope) > 1e-9
+        height = np.einsum("ij,ij->i", corners[met, 0], surface.normals[face[met]])
+        order = np.lexsort((face[met], ray[met]))
+        found.append((ray[met][order] + start, face[met][order], (height / slope[met])[order]))
     rays, faces, distances = (np.concatenate(part) for part in zip(*found, strict=True))
     return Hits(rays, faces, distances)
+
+
+def _candidates(surface: Surface, origins: FloatArray, directions: FloatArray) -> tuple[IntArray, IntArray]:
+    """Return ray and triangle (P,) of all pairs in which the line meets the smallest box around the triangle.
+
+    A line misses a box if it does so in one of the three views along the axes.
+    """
+    ray, box = np.arange(len(origins)), np.zeros(len(origins), dtype=np.int64)
+    for level, (centers, halves) in enumerate(surface.tree.levels):
+        if level:
+            ray, box = np.repeat(ray, 2), (2 * box[:, None] + np.arange(2)).ravel()
+        (x, y, z), (u, v, w) = (centers[box] - origins[ray]).T, directions[ray].T
+        (a, b, c), (i, j, k) = halves[box].T + ROUNDING, np.abs((u, v, w))
+        met = (np.abs(y * w - z * v) <= b * k + c * j) & (np.abs(z * u - x * w) <= c * i + a * k)
+        met &= np.abs(x * v - y * u) <= a * j + b * i
+        ray, box = ray[met], box[met]
+    ray, face = np.repeat(ray, LEAF), surface.tree.leaves[box].ravel()
+    real = face < len(surface.triangles)
+    return ray[real], face[real]
+
+
+def _triple(a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
+    """Return a . (b x c) of vectors (P, 3)."""
+    (a0, a1, a2), (b0, b1, b2), (c0, c1, c2) = a.T, b.T, c.T
+    product: FloatArray = a0 * (b1 * c2 - b2 * c1) + a1 * (b2 * c0 - b0 * c2) + a2 * (b0 * c1 - b1 * c0)
+    return product
 
 
 def tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
