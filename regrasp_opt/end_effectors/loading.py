@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from regrasp_opt.conventions import translation
-from regrasp_opt.end_effectors.model import EndEffector
+from regrasp_opt.end_effectors.model import EndEffector, Pad, default_pad
 from regrasp_opt.errors import UnknownNameError, WorkcellError
 from regrasp_opt.shapes import Box, Cylinder
 
@@ -80,6 +80,11 @@ class _FingerSchema(_Schema):
     box: _BoxSchema
 
 
+class _PadSchema(_Schema):
+    x: Interval
+    z: Interval
+
+
 class _EndEffectorSchema(_Schema):
     name: str | None = None
     kind: Literal["parallel", "suction"]
@@ -89,12 +94,13 @@ class _EndEffectorSchema(_Schema):
     cup_radius: Positive | None = None
     body: Annotated[list[_BodySchema], Field(min_length=1)]
     finger: list[_FingerSchema] = []
+    pad: _PadSchema | None = None
 
     @model_validator(mode="after")
     def _keys_of_the_kind(self) -> _EndEffectorSchema:
         parallel = self.kind == "parallel"
         needed = ("max_opening", "finger") if parallel else ("cup_radius",)
-        other = ("cup_radius",) if parallel else ("max_opening", "pre_opening", "finger")
+        other = ("cup_radius",) if parallel else ("max_opening", "pre_opening", "finger", "pad")
         for key in needed:
             if not getattr(self, key):
                 raise ValueError(f"kind '{self.kind}' needs the key '{key}'")
@@ -105,6 +111,9 @@ class _EndEffectorSchema(_Schema):
 
     def build(self, name: str, source: str) -> EndEffector:
         parallel = self.kind == "parallel"
+        finger = tuple(shape.box.build(shape.name) for shape in self.finger)
+        usual = default_pad(finger)
+        given = usual if self.pad is None else Pad(self.pad.x, self.pad.z)
         return EndEffector(
             name=self.name or name,
             kind=self.kind,
@@ -113,7 +122,8 @@ class _EndEffectorSchema(_Schema):
             pre_opening=(0.005 if self.pre_opening is None else self.pre_opening) if parallel else 0.0,
             cup_radius=self.cup_radius or 0.0,
             body=tuple(shape.build() for shape in self.body),
-            finger=tuple(shape.box.build(shape.name) for shape in self.finger),
+            finger=finger,
+            pad=usual if np.allclose(given, usual, rtol=0.0, atol=1e-9) else given,
             source=source,
         )
 

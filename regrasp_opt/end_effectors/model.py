@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -14,6 +15,13 @@ from regrasp_opt.shapes import Box, Cylinder, Shape
 
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 """Reflection through the x-z plane of the flange frame, which swaps the two fingers."""
+
+
+class Pad(NamedTuple):
+    """Where a finger holds: intervals (2,) of x and z in the flange frame [m], on the inner face of the finger."""
+
+    x: tuple[float, float]
+    z: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,13 +48,16 @@ class EndEffector:
     finger : tuple of Box
         The +y finger at zero opening, its inner face at y = 0; the other one is its mirror image. Empty for
         suction.
+    pad : Pad
+        Where the +y finger may hold the object; the other pad is its mirror image. Means nothing for suction.
     source : str
         ``"built-in"`` or the path of the file it was read from.
 
     Raises
     ------
     WorkcellError
-        If a finger box is turned against the flange frame, or reaches below y = 0.
+        If a finger box is turned against the flange frame or reaches below y = 0, or the pad is not on the fingers
+        or beside the closing line of the TCP (x = 0).
     """
 
     name: str
@@ -57,6 +68,7 @@ class EndEffector:
     cup_radius: float
     body: tuple[Shape, ...]
     finger: tuple[Box, ...]
+    pad: Pad
     source: str = "built-in"
 
     def __post_init__(self) -> None:
@@ -66,6 +78,14 @@ class EndEffector:
                 raise WorkcellError(f"finger '{box.name}' of '{where}' is turned; give axis-parallel boxes")
             if box.pose[1, 3] - box.size[1] / 2 < -1e-9:
                 raise WorkcellError(f"finger '{box.name}' of '{where}' reaches below y = 0; give the +y finger only")
+        for axis, (low, high), index in (("x", self.pad.x, 0), ("z", self.pad.z, 2)) if self.finger else ():
+            start, end = _interval(self.finger, index)
+            if low < start - 1e-9 or high > end + 1e-9:
+                raise WorkcellError(
+                    f"the pad of '{where}' is not on its fingers; keep its {axis} in [{start:g}, {end:g}]"
+                )
+        if self.finger and not self.pad.x[0] <= 0 <= self.pad.x[1]:
+            raise WorkcellError(f"the pad of '{where}' is beside the TCP; give fingers and a pad with x = 0 inside")
 
     @property
     def T_flange_tcp(self) -> FloatArray:
@@ -97,9 +117,27 @@ class EndEffector:
 
     def fingerprint(self) -> str:
         """Return a hash of everything that decides which grasps are feasible; the name is not part of it."""
-        shapes = [_shape_parts(shape) for shape in (*self.body, *self.finger)]
+        shapes: list[object] = [_shape_parts(shape) for shape in (*self.body, *self.finger)]
+        if self.pad != default_pad(self.finger):
+            shapes.append(("pad", np.array(self.pad)))
         lengths = [self.tcp_offset, self.max_opening, self.pre_opening, self.cup_radius]
         return content_hash("end-effector", self.kind, np.array(lengths), len(self.body), shapes)
+
+
+def default_pad(finger: Sequence[Box]) -> Pad:
+    """Return the inner face of a fingertip: of the boxes that reach farthest along z, those nearest to y = 0."""
+    if not finger:
+        return Pad((0.0, 0.0), (0.0, 0.0))
+    tip = _interval(finger, 2)[1]
+    tips = [box for box in finger if _interval([box], 2)[1] > tip - 1e-9]
+    inner = [box for box in tips if _interval([box], 1)[0] < _interval(tips, 1)[0] + 1e-9]
+    return Pad(_interval(inner, 0), _interval(inner, 2))
+
+
+def _interval(boxes: Sequence[Box], axis: int) -> tuple[float, float]:
+    """Return what `boxes` cover of an axis [m]."""
+    ends = [(box.pose[axis, 3] - box.size[axis] / 2, box.pose[axis, 3] + box.size[axis] / 2) for box in boxes]
+    return float(min(low for low, _ in ends)), float(max(high for _, high in ends))
 
 
 def _shape_parts(shape: Shape) -> tuple[object, ...]:

@@ -89,8 +89,6 @@ def contact_pairs(
 
 def contact_depths(end_effector: EndEffector) -> list[float]:
     """Return the contact depths beyond the TCP [m] that lie on the pad, in the order they are tried."""
-    ends = [box.pose[2, 3] + box.size[2] / 2 - end_effector.tcp_offset for box in end_effector.finger]
-    starts = [end - box.size[2] for box, end in zip(end_effector.finger, ends, strict=True)]
-    tip = max(ends)
-    root = min(start for start, end in zip(starts, ends, strict=True) if end > tip - 1e-9)
-    return list(dict.fromkeys(float(np.clip(depth, root + PAD_RIM, tip - PAD_RIM)) for depth in DEPTHS))
+    start, end = (edge - end_effector.tcp_offset for edge in end_effector.pad.z)
+    rim = min(PAD_RIM, (end - start) / 2)
+    return list(dict.fromkeys(float(np.clip(depth, start + rim, end - rim)) for depth in DEPTHS))

@@ -9,11 +9,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from regrasp_opt.conventions import FloatArray
-from regrasp_opt.errors import GraspError
+from regrasp_opt.conventions import FloatArray, as_pose
+from regrasp_opt.errors import GraspError, PoseError
 from regrasp_opt.files import UNREADABLE_ARRAYS, atomic_path, content_hash
 
 KINDS = ("parallel", "suction")
+
+ORTHONORMAL = 1e-9
+"""How far a rotation may be from orthonormal and still be taken as it is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +26,8 @@ class GraspSet:
     Attributes
     ----------
     T_object_tcp : FloatArray
-        TCP poses in the object frame (G, 4, 4): z approach, y closing direction.
+        TCP poses in the object frame (G, 4, 4): z approach, y closing direction. Lists and other types of numbers are
+        converted, and rotations that are off by up to `RIGID_TOLERANCE` are made orthonormal.
     width : FloatArray
         Distance between the contacts, which is the jaw opening when closed (G,) [m]; 0 for suction.
     kind : {"parallel", "suction"}
@@ -32,7 +36,8 @@ class GraspSet:
     Raises
     ------
     GraspError
-        If shapes disagree, a pose is not rigid or not finite, a width is negative or the kind is unknown.
+        If shapes disagree, or the kind is unknown; names the first grasp whose pose is not rigid or not finite, or
+        whose width is negative or not finite.
     """
 
     T_object_tcp: FloatArray
@@ -40,13 +45,18 @@ class GraspSet:
     kind: Literal["parallel", "suction"]
 
     def __post_init__(self) -> None:
-        T, width = self.T_object_tcp, self.width
+        T, width = _numbers(self.T_object_tcp, "poses"), _numbers(self.width, "widths")
+        T = T.reshape(0, 4, 4) if T.size == 0 else T
         if T.ndim != 3 or T.shape[1:] != (4, 4) or width.shape != T.shape[:1]:
             raise GraspError(f"a grasp set has poses {T.shape} and widths {width.shape}; give (G, 4, 4) and (G,)")
-        if not (np.isfinite(width).all() and _are_rigid(T)):
-            raise GraspError("a grasp set holds a pose that is not rigid or not finite; sample the grasps again")
-        if (width < 0).any() or self.kind not in KINDS:
-            raise GraspError(f"a grasp set has a negative width or kind '{self.kind}'; kinds are {', '.join(KINDS)}")
+        if self.kind not in KINDS:
+            raise GraspError(f"a grasp set has kind '{self.kind}'; kinds are {', '.join(KINDS)}")
+        good = np.isfinite(width) & (width >= 0)
+        if not good.all():
+            first = int((~good).argmax())
+            raise GraspError(f"the width of grasp {first} is {width[first]:g}; give metres, 0 or more")
+        object.__setattr__(self, "T_object_tcp", _orthonormal(T))
+        object.__setattr__(self, "width", width)
 
     def __len__(self) -> int:
         return len(self.width)
@@ -75,20 +85,45 @@ class GraspSet:
         GraspError
             If the file is missing, corrupt or holds no valid grasp set.
         """
+        where = f"grasp file {os.fspath(path)}"
         try:
             with open(path, "rb") as file, np.load(file, allow_pickle=False) as data:
-                T, width, kind = (data[key] for key in ("T_object_tcp", "width", "kind"))
+                missing = [key for key in ("T_object_tcp", "width", "kind") if key not in data]
+                T, width, kind = (None if missing else data[key] for key in ("T_object_tcp", "width", "kind"))
         except UNREADABLE_ARRAYS as error:
-            raise GraspError(f"grasp file {os.fspath(path)} is missing or corrupt; sample the grasps again") from error
-        if T.dtype.kind != "f" or width.dtype.kind != "f":
-            raise GraspError(f"grasp file {os.fspath(path)} holds no numbers; sample the grasps again")
-        return cls(T.astype(np.float64), width.astype(np.float64), str(kind))  # type: ignore[arg-type]
+            raise GraspError(f"{where} is missing or corrupt; sample the grasps again") from error
+        if missing:
+            raise GraspError(f"{where} lacks the array '{missing[0]}'; needed are T_object_tcp, width and kind")
+        try:
+            return cls(T, width, str(kind))  # type: ignore[arg-type]
+        except GraspError as error:
+            raise GraspError(f"{where}: {error}") from error
 
 
-def _are_rigid(T: FloatArray) -> bool:
-    """Return whether all `T` (G, 4, 4) are finite, and rotations in their upper left."""
+def _numbers(values: ArrayLike, what: str) -> FloatArray:
+    """Return `values` as an array of float64; `what` they are is named in errors."""
+    try:
+        array = np.asarray(values)
+        if array.dtype.kind in "fiu":
+            return array.astype(np.float64, copy=False)
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise GraspError(f"the {what} of a grasp set are not an array of numbers; give nested lists or arrays of them")
+
+
+def _orthonormal(T: FloatArray) -> FloatArray:
+    """Return `T` (G, 4, 4) with orthonormal rotations: rounding is mended, what is off by more refused."""
     rotation = T[:, :3, :3]
-    if not (np.isfinite(T).all() and (np.abs(rotation) < 2).all()):
-        return False
-    orthonormal = np.allclose(rotation @ np.swapaxes(rotation, 1, 2), np.eye(3), atol=1e-6)
-    return orthonormal and bool((np.linalg.det(rotation) > 0).all())
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = np.abs(np.swapaxes(rotation, 1, 2) @ rotation - np.eye(3)).max(axis=(1, 2), initial=0.0)
+        good = (error < ORTHONORMAL) & (np.linalg.det(rotation) > 0) & np.isfinite(T).all(axis=(1, 2))
+    good &= (T[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1)
+    if good.all():
+        return T
+    T = T.copy()
+    for index in np.flatnonzero(~good).tolist():
+        try:
+            T[index] = as_pose(T[index], f"pose of grasp {index}")
+        except PoseError as error:
+            raise GraspError(str(error)) from error
+    return T

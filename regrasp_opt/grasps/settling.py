@@ -15,6 +15,7 @@ from regrasp_opt.grasps.antipodal import FRICTION, MIN_WIDTH, WIDENINGS, contact
 from regrasp_opt.grasps.candidates import frames_about
 from regrasp_opt.grasps.clearance import GripperClearance
 from regrasp_opt.grasps.grasp_set import GraspSet
+from regrasp_opt.grasps.holding import failures_on
 from regrasp_opt.grasps.suction import NO_SEAL, seal_grades
 from regrasp_opt.grasps.surface import Surface, cast_rays, make_surface, sample_points
 from regrasp_opt.objects import ObjectModel
@@ -69,7 +70,10 @@ class GraspSettler:
         T = np.array(T_object_tcp, dtype=np.float64).reshape(-1, 4, 4)
         settled, width, source = self._gripped(T) if self._effector.kind == "parallel" else self._sealed(T, grade)
         order = np.argsort(source)
-        return GraspSet(settled[order], width[order], self._effector.kind), source[order]
+        grasps, source = GraspSet(settled[order], width[order], self._effector.kind), source[order]
+        failures = failures_on(self._surface, grasps, self._effector)
+        holds = [index for index, failure in enumerate(failures) if failure is None]
+        return grasps.subset(holds), source[holds]
 
     def _gripped(self, T: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
         """Return the nearest parallel grasps, their widths and sources; the first depth and widening that fit count."""

@@ -82,19 +82,21 @@ def seal_grades(
     left = np.flatnonzero((first.depth < 2 * SEAL_DEPTHS[-1] * radius) & (first.angle < np.pi / 2))
     approach, grade = approach.copy(), np.full(len(centers), NO_SEAL)
     approach[left] = -first.normal[left]
-    crease = _sharpest_crease(surface, centers[left], approach[left], radius)
-    left, crease = left[crease <= SEAL_CREASES[-1]], crease[crease <= SEAL_CREASES[-1]]
-    probe = _probe(surface, centers[left], approach[left], radius, RINGS)
-    grades = [
-        np.searchsorted(limits, values)
-        for limits, values in (
-            (SEAL_DEPTHS * radius, probe.depth),
-            (SEAL_ANGLES, probe.angle),
-            (SEAL_CREASES, crease),
-        )
-    ]
-    grade[left] = np.max(grades, axis=0)
+    grade[left] = mouth_grades(surface, centers[left], approach[left], radius)[1]
     return approach, grade
+
+
+def mouth_grades(
+    surface: Surface, centers: FloatArray, approach: FloatArray, radius: float
+) -> tuple[RingProbe, IntArray]:
+    """Return what is under cups that stand at `centers` (N, 3) along `approach` (N, 3), and the grade (N,) of the seal.
+
+    Depths count from the centres; `radius` is that of the rim [m].
+    """
+    probe = _probe(surface, centers, approach, radius, RINGS)
+    crease = _sharpest_crease(surface, centers, approach, radius)
+    limits = (SEAL_DEPTHS * radius, probe.depth), (SEAL_ANGLES, probe.angle), (SEAL_CREASES, crease)
+    return probe, np.max([np.searchsorted(bounds, values) for bounds, values in limits], axis=0)
 
 
 def _probe(

@@ -13,18 +13,20 @@ import itertools
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from regrasp_opt.conventions import FloatArray
+from regrasp_opt.grasps import hold_failures
 from regrasp_opt.motion.connections import Connector
 from regrasp_opt.motion.handling import Handling, Hold, Rest, Tools
 from regrasp_opt.motion.options import MotionOptions
 from regrasp_opt.motion.plan import MotionPlan, MotionStatus, Phase, Segment
 from regrasp_opt.motion.runs import shortened
 from regrasp_opt.motion.scene import LEVELS, MotionScene
-from regrasp_opt.planning import RegraspPlan
+from regrasp_opt.planning import RegraspPlan, RegraspProblem, Transition
 from regrasp_opt.threads import one_blas_thread
 
 GROUP = 4
@@ -80,6 +82,11 @@ def _plan(plan: RegraspPlan, options: MotionOptions, connector: Connector, home:
         setting = scene.beside(T, (0.0, plan.problem.workcell.end_effector.max_opening))
         if home is not None and not setting.passes(home, len(LEVELS) - 1):
             return _Result(MotionStatus.HOME_BLOCKED, f"the arm at home collides with the object at the {where}")
+    held = [_held(plan.problem, transition) for transition in plan.transitions]
+    for index, transition in enumerate(held):
+        if len(transition.grasp_ids) == 0:
+            return _Result(MotionStatus.NO_MOTION, f"no grasp of transition {index} holds the object; check the plan")
+    plan = replace(plan, transitions=tuple(held))
     tools = Tools(plan, scene, connector, home, np.random.default_rng([options.seed, 3]))
     rest, segments = Rest(home, None), list[Segment]()
     for index in range(len(plan.transitions)):
@@ -92,6 +99,14 @@ def _plan(plan: RegraspPlan, options: MotionOptions, connector: Connector, home:
     if options.optimise:
         segments = shortened(plan, scene, connector, segments)
     return _Result(MotionStatus.SOLVED, "", tuple(segments))
+
+
+def _held(problem: RegraspProblem, transition: Transition) -> Transition:
+    """Return `transition` without the grasps that do not hold the object: a plan may come from a file."""
+    grasps, effector = problem.grasps.subset(transition.grasp_ids), problem.workcell.end_effector
+    keep = [k for k, failure in enumerate(hold_failures(grasps, problem.object, effector)) if failure is None]
+    t = transition
+    return Transition(t.grasp_ids[keep], t.q_pick[keep], t.q_place[keep], t.clearance[keep])
 
 
 class _Transition:

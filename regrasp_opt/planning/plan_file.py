@@ -16,8 +16,9 @@ from regrasp_opt.errors import PlanFileError, PoseError
 from regrasp_opt.files import atomic_path
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import load_object
+from regrasp_opt.planning.model_store import find_model
 from regrasp_opt.planning.plan import RegraspPlan, Status, Transition
-from regrasp_opt.planning.problem import RegraspProblem
+from regrasp_opt.planning.problem import RegraspProblem, assemble
 from regrasp_opt.workcell import load_workcell
 
 SCHEMA = 1
@@ -218,7 +219,7 @@ def _problem(content: _File, path: Path) -> RegraspProblem:
         raise PlanFileError(f"'{path}': {error}") from error
     widths = np.array([g.width for g in content.grasps])
     grasps = GraspSet(T.reshape(-1, 4, 4), widths, cell.end_effector.kind)
-    return RegraspProblem.load(body, cell, grasps=grasps)
+    return assemble(body, cell, grasps, find_model(body, cell))  # all of them: transitions name them by number
 
 
 def _transition(record: _Transition, problem: RegraspProblem, path: Path) -> Transition:

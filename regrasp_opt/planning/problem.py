@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import shlex
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -19,7 +21,7 @@ from regrasp_opt.errors import GraspError, ModelError, PoseError, UnknownNameErr
 from regrasp_opt.feasibility import FeasibilityChecker
 from regrasp_opt.feasibility.tabletop import points_in_table
 from regrasp_opt.files import data_home
-from regrasp_opt.grasps import GraspSet, gripper_free, sample_grasps
+from regrasp_opt.grasps import GraspSet, rejected_grasps, sample_grasps
 from regrasp_opt.objects import ObjectModel, Placement, load_object
 from regrasp_opt.planning.model_store import (
     ENERGY_FILES,
@@ -33,6 +35,11 @@ from regrasp_opt.workcell import Workcell, load_workcell
 
 DEFAULT_GRASPS = 200
 """Candidate grasps of a problem (the paper's number)."""
+
+NAMED = 3
+"""Grasps that are named in the warning about those left out."""
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +58,9 @@ class RegraspProblem:
         Where the prepared model was found.
     preset : {"default", "paper"}
         Which of the prepared energies is used.
+    left_out : dict
+        Those of the given grasps that cannot be used: their numbers in the given set, and why. The others are in
+        `grasps`, in their order and numbered from 0.
     """
 
     object: ObjectModel
@@ -59,6 +69,7 @@ class RegraspProblem:
     placements: tuple[Placement, ...]
     model_folder: Path | None = None
     preset: Literal["default", "paper"] = "default"
+    left_out: dict[int, str] = field(default_factory=dict)
 
     @staticmethod
     def load(
@@ -86,6 +97,9 @@ class RegraspProblem:
             Folder that ``regrasp-opt prepare --out`` wrote; by default the bundled models and the user's are searched.
         grasps : GraspSet, optional
             Plan with these instead of the prepared ones; an energy knows grasps by their geometry, not their number.
+            Each must hold the object and be free of it otherwise (`regrasp_opt.grasps.Failure`). One warning names
+            those that are left out, as does `left_out`; grasp ids of plans number the rest. Grasps of a `model` that
+            is named are tested as well.
         scale, repair
             As of `load_object`.
         preset : {"default", "paper"}
@@ -98,7 +112,7 @@ class RegraspProblem:
         Raises
         ------
         RegraspError
-            For an unknown name, a broken mesh, workcell or model, or an object that no grasp fits.
+            For an unknown name, a broken mesh, workcell or model, or an object that no grasp fits or holds.
         """
         if preset not in ENERGY_FILES:
             raise UnknownNameError("preset", preset, ENERGY_FILES)
@@ -110,16 +124,15 @@ class RegraspProblem:
                 f"'{body.name}' has no stable placement on a table, so it cannot be planned; check its shape and scale"
             )
         folder = find_model(body, workcell, None if model is None else Path(model))
-        if grasps is not None:
-            _check_grasps(grasps, body, workcell)
-        else:
-            if folder is not None:
-                grasps = load_prepared_grasps(folder)
-            else:
-                grasps = sample_grasps(body, workcell.end_effector, DEFAULT_GRASPS)
-        lift = translation(0.0, 0.0, workcell.table.height)
-        placements = tuple(Placement(lift @ p.pose, p.margin) for p in body.placements)
-        return RegraspProblem(body, workcell, grasps, placements, folder, preset)
+        tested = grasps is not None or model is not None
+        if grasps is None and folder is not None:
+            grasps = load_prepared_grasps(folder)
+        if grasps is None:
+            grasps = sample_grasps(body, workcell.end_effector, DEFAULT_GRASPS)
+        left_out: dict[int, str] = {}
+        if tested:
+            grasps, left_out = _usable(grasps, body, workcell)
+        return assemble(body, workcell, grasps, folder, preset, left_out)
 
     @cached_property
     def checker(self) -> FeasibilityChecker:
@@ -255,19 +268,41 @@ class RegraspProblem:
         return self.checker.feasible(as_pose(T))
 
 
-def _check_grasps(grasps: GraspSet, body: ObjectModel, workcell: Workcell) -> None:
-    """Raise a GraspError unless `grasps`, which somebody gave, are free of the object and within the jaw's stroke."""
+def assemble(
+    body: ObjectModel,
+    workcell: Workcell,
+    grasps: GraspSet,
+    folder: Path | None,
+    preset: Literal["default", "paper"] = "default",
+    left_out: dict[int, str] | None = None,
+) -> RegraspProblem:
+    """Return the problem of these parts; nothing is tested, and no grasp is left out."""
+    lift = translation(0.0, 0.0, workcell.table.height)
+    placements = tuple(Placement(lift @ p.pose, p.margin) for p in body.placements)
+    return RegraspProblem(body, workcell, grasps, placements, folder, preset, left_out or {})
+
+
+def _usable(grasps: GraspSet, body: ObjectModel, workcell: Workcell) -> tuple[GraspSet, dict[int, str]]:
+    """Return those of `grasps`, which somebody gave, that hold the object, and why the others are left out."""
     effector = workcell.end_effector
     if len(grasps) == 0:
         raise GraspError("the grasp set is empty; sample or load at least one grasp")
     if grasps.kind != effector.kind:
         raise GraspError(f"the grasps are for a {grasps.kind} end-effector, which '{effector.name}' is not")
-    if effector.kind == "parallel" and (grasps.width + 2 * effector.pre_opening > effector.max_opening + 1e-9).any():
-        raise GraspError(f"a grasp is wider than '{effector.name}' opens; sample grasps for this end-effector")
-    free = gripper_free(grasps, body, effector)
-    if not free.all():
-        bad = int((~free).argmax())
-        raise GraspError(f"in grasp {bad} the gripper overlaps the object; sample grasps for both together")
+    left_out = {index: failure.value for index, failure in rejected_grasps(grasps, body, effector).items()}
+    if not left_out:
+        return grasps, {}
+    if len(left_out) == len(grasps):
+        counts = ", ".join(f"{count} because {why}" for why, count in Counter(left_out.values()).most_common())
+        raise GraspError(
+            f"none of the {len(grasps)} grasps can be used on '{body.name}' with '{effector.name}': {counts}; sample "
+            "grasps for both together, or check units and frames (T_object_tcp: z approach, y closing direction)"
+        )
+    named = [f"grasp {index} because {why}" for index, why in list(left_out.items())[:NAMED]]
+    rest = f", and {len(left_out) - NAMED} more" if len(left_out) > NAMED else ""
+    text = "%d of %d grasps are left out, and the others numbered anew from 0: %s%s (problem.left_out has all)"
+    logger.warning(text, len(left_out), len(grasps), "; ".join(named), rest)
+    return grasps.subset([index for index in range(len(grasps)) if index not in left_out]), left_out
 
 
 def command_arguments(body: ObjectModel, workcell: Workcell) -> str:

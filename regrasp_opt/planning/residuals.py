@@ -2,8 +2,9 @@
 
 Forward kinematics come from Pinocchio's own algorithm on the robot's URDF model, distances from one `coal.distance`
 call for each pair of bodies, with the fingers where they stand at the grasp width and at the width they approach
-with. The planner uses inverse kinematics, swept fingers and batched collision tests instead. The bodies themselves,
-and which links are neighbours, are the problem's. A plan's cost is a record and is not recomputed.
+with. The planner uses inverse kinematics, swept fingers and batched collision tests instead. Every claimed grasp is
+held against the object (`regrasp_opt.grasps.holding`). The bodies themselves, and which links are neighbours, are the
+problem's. A plan's cost is a record and is not recomputed.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from regrasp_opt.conventions import (
     pose_distance,
 )
 from regrasp_opt.feasibility.geometry import mesh_geometry, shape_geometry
+from regrasp_opt.grasps import hold_failures
 
 if TYPE_CHECKING:
     from regrasp_opt.planning.plan import RegraspPlan, Transition
@@ -57,6 +59,8 @@ class TransitionResiduals:
         How far the claimed clearance exceeds the recomputed one [m]; negative where the claim was modest.
     nearest : tuple of pairs of str
         The two bodies with the least margin, for pick and place of each grasp in turn.
+    failures : tuple of str or None
+        Why each grasp does not hold the object; None where it does.
     """
 
     position_error: FloatArray
@@ -65,6 +69,7 @@ class TransitionResiduals:
     collision_margin: FloatArray
     clearance_error: FloatArray
     nearest: tuple[tuple[str, str], ...]
+    failures: tuple[str | None, ...]
 
 
 @dataclass(frozen=True)
@@ -186,13 +191,17 @@ def _transition(scene: _Scene, transition: Transition, ends: FloatArray) -> Tran
             collision[k, side], clearance[k, side], pair = scene.margins(arm, T_world_tcp, T, grasp_id)
             nearest.append(pair)
     excess = transition.clearance - clearance.min(axis=1)
-    return TransitionResiduals(position, rotation, limit, collision, excess, tuple(nearest))
+    held = hold_failures(grasps.subset(transition.grasp_ids), scene.problem.object, scene.problem.workcell.end_effector)
+    failures = tuple(None if failure is None else failure.value for failure in held)
+    return TransitionResiduals(position, rotation, limit, collision, excess, tuple(nearest), failures)
 
 
 def _violations(transition: Transition, residuals: TransitionResiduals) -> list[str]:
     texts = []
     if len(transition.grasp_ids) == 0:
         texts.append("no grasp is shared by its two poses")
+    for grasp_id, failure in zip(transition.grasp_ids.tolist(), residuals.failures, strict=True):
+        texts += [] if failure is None else [f"grasp {grasp_id} does not hold the object: {failure}"]
     checks = (
         ("the arm misses the grasp by {:.2g} m", residuals.position_error, FK_POSITION_TOLERANCE, 1),
         ("the arm misses the grasp by {:.2g} rad", residuals.rotation_error, FK_ROTATION_TOLERANCE, 1),

@@ -1,11 +1,13 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from regrasp_opt.errors import GraspError
 from regrasp_opt.grasps import GraspSet
@@ -81,18 +83,78 @@ def test_corrupt_files_are_refused(tmp_path: Path, damage: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("wrong", ["shape", "nan", "scaled", "mirrored", "negative"])
-def test_malformed_sets_are_refused(wrong: str) -> None:
-    T, width = make().T_object_tcp.copy(), make().width.copy()
-    if wrong == "shape":
-        width = width[:-1]
-    elif wrong == "nan":
-        T[0, 0, 3] = np.nan
-    elif wrong == "scaled":
-        T[0, :3, :3] *= 1.1
-    elif wrong == "mirrored":
-        T[0, 2, 2] = -1.0
-    else:
-        width[0] = -0.01
-    with pytest.raises(GraspError):
-        GraspSet(T, width, "parallel")
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda T, w: (T, w[:-1]), r"poses \(5, 4, 4\) and widths \(4,\)"),
+        (lambda T, w: (changed(T, (2, 0, 3), np.nan), w), "the pose of grasp 2 holds NaN or infinity"),
+        (lambda T, w: (changed(T, (1, 0, 0), np.inf), w), "the pose of grasp 1 holds NaN or infinity"),
+        (lambda T, w: (changed(T, (4, 0, 0), 1e300), w), "the pose of grasp 4 is not a rigid transform"),
+        (lambda T, w: (changed(T, (3, 0, 0), 1.1), w), "the pose of grasp 3 is not a rigid transform"),
+        (lambda T, w: (changed(T, (3, 3, 0), 0.5), w), "the pose of grasp 3 is not a rigid transform"),
+        (lambda T, w: (changed(T, (0, 2, 2), -1.0), w), "the pose of grasp 0 is left-handed"),
+        (lambda T, w: (T, changed(w, 3, -0.01)), "the width of grasp 3 is -0.01"),
+        (lambda T, w: (T, changed(w, 1, np.nan)), "the width of grasp 1 is nan"),
+        (lambda T, w: (T, ["a"] * 5), "the widths of a grasp set are not an array of numbers"),
+        (lambda T, w: ([T[0], T[1, :3]], w), "the poses of a grasp set are not an array of numbers"),
+        (lambda T, w: (None, w), "the poses of a grasp set are not an array of numbers"),
+        (lambda T, w: (T, w.astype(bool)), "the widths of a grasp set are not an array of numbers"),
+    ],
+)
+def test_malformed_sets_are_refused(change: Callable[..., Any], text: str) -> None:
+    with pytest.raises(GraspError, match=text):
+        GraspSet(*change(make().T_object_tcp, make().width), "parallel")
+
+
+def test_unknown_kinds_are_refused() -> None:
+    with pytest.raises(GraspError, match="kind 'magnet'; kinds are parallel, suction"):
+        GraspSet(make().T_object_tcp, make().width, "magnet")  # type: ignore[arg-type]
+
+
+def changed(array: np.ndarray, index: Any, value: float) -> np.ndarray:
+    array = array.copy()
+    array[index] = value
+    return array
+
+
+def test_lists_and_single_precision_are_converted() -> None:
+    grasps = make()
+    for T, width in (
+        (grasps.T_object_tcp.tolist(), grasps.width.tolist()),
+        (list(grasps.T_object_tcp), tuple(grasps.width)),
+        (grasps.T_object_tcp.astype(np.float32), grasps.width.astype(np.float32)),
+    ):
+        taken = GraspSet(T, width, "parallel")
+        assert taken.T_object_tcp.dtype == taken.width.dtype == np.float64
+        np.testing.assert_allclose(taken.T_object_tcp, grasps.T_object_tcp, atol=1e-8)
+        np.testing.assert_allclose(taken.width, grasps.width, atol=1e-8)
+    assert len(GraspSet([], [], "suction")) == 0
+
+
+def test_rotations_that_are_off_by_rounding_are_made_orthonormal() -> None:
+    T = np.tile(np.eye(4), (3, 1, 1))
+    T[:, :3, :3] = Rotation.random(3, random_state=1).as_matrix()
+    rough = T.copy()
+    rough[1, :3, :3] *= 1 + 4e-5
+    taken = GraspSet(rough, np.zeros(3), "parallel")
+    np.testing.assert_array_equal(taken.T_object_tcp[[0, 2]], T[[0, 2]])
+    np.testing.assert_allclose(taken.T_object_tcp[1], T[1], atol=1e-12)
+    rough[1, :3, :3] = T[1, :3, :3] * (1 + 6e-5)
+    with pytest.raises(GraspError, match="the pose of grasp 1 is not a rigid transform"):
+        GraspSet(rough, np.zeros(3), "parallel")
+
+
+@pytest.mark.parametrize("key", ["T_object_tcp", "width", "kind"])
+def test_a_missing_array_is_named(tmp_path: Path, key: str) -> None:
+    arrays = {"T_object_tcp": make().T_object_tcp, "width": make().width, "kind": np.array("parallel")}
+    np.savez(tmp_path / "grasps.npz", **{name: value for name, value in arrays.items() if name != key})
+    with pytest.raises(GraspError, match=f"lacks the array '{key}'"):
+        GraspSet.load(tmp_path / "grasps.npz")
+
+
+def test_a_bad_set_in_a_file_names_the_file(tmp_path: Path) -> None:
+    width = make().width
+    width[2] = np.nan
+    np.savez(tmp_path / "grasps.npz", T_object_tcp=make().T_object_tcp, width=width, kind=np.array("parallel"))
+    with pytest.raises(GraspError, match=r"grasps\.npz: the width of grasp 2 is nan"):
+        GraspSet.load(tmp_path / "grasps.npz")

@@ -1,7 +1,9 @@
 """What must not slip through: objects that cannot stay where they are put, grasps of unknown origin, threads."""
 
 import dataclasses
+import json
 import shlex
+import shutil
 import sys
 import threading
 from types import SimpleNamespace
@@ -14,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from regrasp_opt import GraspSet, RegraspPlan, RegraspProblem, load_workcell, solve_sequence
 from regrasp_opt.errors import GraspError, ModelError, PoseError, UnknownNameError
 from regrasp_opt.feasibility.standing import resting_problem, standing_problem
+from regrasp_opt.motion import plan_motion
 from regrasp_opt.objects import ObjectModel, stable_placements
 from regrasp_opt.planning.residuals import _end_violations
 from regrasp_opt.planning.tasks import random_task
@@ -117,16 +120,102 @@ def test_residuals_see_that_an_end_lies_outside_the_workspace(plan, end, axis, s
 
 def test_grasps_of_unknown_origin_are_checked(bottle_problem):
     grasps = bottle_problem.grasps
-    shifted = grasps.T_object_tcp.copy()
-    shifted[3, :3, 3] += 0.1 * shifted[3, :3, 2]  # the palm in the bottle
+    ahead, behind = grasps.T_object_tcp.copy(), grasps.T_object_tcp.copy()
+    ahead[:, :3, 3] += 0.1 * ahead[:, :3, 2]  # the palm in the bottle
+    behind[:, :3, 3] -= 0.103 * behind[:, :3, 2]
+    count = len(grasps)
     cases = [
-        (GraspSet(grasps.T_object_tcp, np.zeros(len(grasps)), "suction"), "suction"),
-        (GraspSet(grasps.T_object_tcp, grasps.width + 0.2, "parallel"), "wider"),
-        (GraspSet(shifted, grasps.width, "parallel"), "grasp 3 the gripper overlaps"),
+        (GraspSet(grasps.T_object_tcp, np.zeros(count), "suction"), "for a suction end-effector, which 'w' is not"),
+        (GraspSet(grasps.T_object_tcp, grasps.width + 0.2, "parallel"), f"{count} because it needs a wider opening"),
+        (GraspSet(ahead, grasps.width, "parallel"), "because the gripper overlaps the object"),
+        (GraspSet(behind, grasps.width, "parallel"), f"{count} because nothing of the object is between the pads"),
     ]
     for wrong, text in cases:
         with pytest.raises(GraspError, match=text):
             RegraspProblem.load("bottle", "nova2-w", grasps=wrong)
+
+
+def test_grasps_that_fail_are_left_out_by_number_and_reason(bottle_problem, caplog):
+    grasps = bottle_problem.grasps
+    T, width = grasps.T_object_tcp.copy(), grasps.width.copy()
+    T[[2, 9, 11], :3, 3] -= 0.103 * T[[2, 9, 11], :3, 2]
+    T[5, :3, 3] += 0.1 * T[5, :3, 2]
+    width[7] = 0.103
+    with caplog.at_level("WARNING"):
+        problem = RegraspProblem.load("bottle", "nova2-w", grasps=GraspSet(T, width, "parallel"))
+    assert {number: text.split()[0] for number, text in problem.left_out.items()} == {
+        2: "nothing", 5: "the", 7: "it", 9: "nothing", 11: "nothing"
+    }  # fmt: skip
+    kept = [number for number in range(len(grasps)) if number not in problem.left_out]
+    assert problem.grasps.fingerprint() == grasps.subset(kept).fingerprint()
+    (text,) = [record.getMessage() for record in caplog.records]
+    assert text.startswith(
+        f"5 of {len(grasps)} grasps are left out, and the others numbered anew from 0: grasp 2 because"
+    )
+    assert "grasp 5 because the gripper overlaps the object; grasp 7 because" in text and "and 2 more" in text
+
+
+def test_a_sound_set_is_taken_as_it_is_without_a_word(bottle_problem, caplog):
+    single = GraspSet(
+        bottle_problem.grasps.T_object_tcp.astype(np.float32).tolist(), bottle_problem.grasps.width, "parallel"
+    )
+    problem = RegraspProblem.load("bottle", "nova2-w", grasps=single)
+    assert problem.left_out == {} and problem.grasps is single and not caplog.records
+
+
+def test_grasps_of_a_model_that_is_named_are_checked(bottle_problem, tmp_path):
+    folder = shutil.copytree(bottle_problem.model_folder, tmp_path / "model")
+    grasps = bottle_problem.grasps
+    T = grasps.T_object_tcp.copy()
+    T[1, :3, 3] -= 0.103 * T[1, :3, 2]
+    edited = GraspSet(T, grasps.width, "parallel")
+    edited.save(folder / "grasps.npz")
+    report = json.loads((folder / "report.json").read_text("utf-8"))
+    (folder / "report.json").write_text(json.dumps({**report, "grasps_fingerprint": edited.fingerprint()}), "utf-8")
+    assert list(RegraspProblem.load("bottle", "nova2-w", model=folder).left_out) == [1]
+
+
+@pytest.mark.parametrize("change", ["back", "sideways", "wide", "turned"])
+def test_a_plan_file_whose_grasp_was_edited_does_not_hold(plan, tmp_path, change):
+    plan.save(tmp_path / "plan.json")
+    content = json.loads((tmp_path / "plan.json").read_text("utf-8"))
+    number = content["transitions"][0]["grasp_ids"][0]
+    grasp = content["grasps"][number]
+    T = np.array(grasp["T_object_tcp"])
+    if change == "wide":
+        grasp["width"] += 0.005
+    else:
+        move = np.eye(4)
+        move[:3, 3] = {"back": [0, 0, -0.103], "sideways": [0.2, 0, 0], "turned": [0, 0, 0]}[change]
+        move[:3, :3] = Rotation.from_euler("z", 40 * (change == "turned"), degrees=True).as_matrix()
+        grasp["T_object_tcp"] = (T @ move).tolist()
+    (tmp_path / "plan.json").write_text(json.dumps(content), "utf-8")
+    loaded = RegraspPlan.load(tmp_path / "plan.json")
+    assert len(loaded.problem.grasps) == len(plan.problem.grasps)
+    texts = loaded.residuals().problems
+    assert any(text.startswith(f"transition 0: grasp {number} does not hold the object: ") for text in texts)
+    motion = plan_motion(dataclasses.replace(loaded, transitions=tuple(_only(t, number) for t in loaded.transitions)))
+    assert not motion.solved and "holds the object" in motion.reason
+
+
+def _only(transition, grasp_id):
+    keep = transition.grasp_ids == grasp_id
+    parts = (transition.grasp_ids, transition.q_pick, transition.q_place, transition.clearance)
+    return type(transition)(*(part[keep] for part in parts))
+
+
+def test_a_plan_with_renumbered_grasps_is_the_same_when_loaded_again(bottle_problem, task, tmp_path):
+    T = bottle_problem.grasps.T_object_tcp.copy()
+    T[::7, :3, 3] -= 0.103 * T[::7, :3, 2]
+    problem = RegraspProblem.load("bottle", "nova2-w", grasps=GraspSet(T, bottle_problem.grasps.width, "parallel"))
+    assert len(problem.left_out) == len(T[::7])
+    made = solve_sequence(problem, task.start, task.goal)
+    made.save(tmp_path / "plan.json")
+    loaded = RegraspPlan.load(tmp_path / "plan.json")
+    assert made.solved and loaded.residuals().hold
+    assert loaded.problem.grasps.fingerprint() == problem.grasps.fingerprint()
+    for a, b in zip(made.transitions, loaded.transitions, strict=True):
+        np.testing.assert_array_equal(a.grasp_ids, b.grasp_ids)
 
 
 def test_a_plan_with_another_end_effector_can_be_loaded_again(tmp_path, bottle_problem):
