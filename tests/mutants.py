@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import gc
 import hashlib
 import itertools
 import json
@@ -37,7 +38,7 @@ from mutmut.mutation.file_mutation import mutate_file_contents
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "mutants"
 LAYERS = ("connectivity", "energy", "feasibility", "grasps", "objects", "planning", "robots", "solvers")
-BUDGET = 40.0
+BUDGET = 20.0
 """Seconds of tests that a mutant has to pass to survive."""
 SLOW = "tests/planning/test_hundred_pairs.py"
 Mutated = dict[str, Any]
@@ -138,6 +139,8 @@ class Campaign:
         self.calls: set[str] = set()
 
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        gc.collect()
+        gc.freeze()  # what the forks share stays shared
         self.items = {item.nodeid: item for item in session.items}
         self.processes = Processes(self.options.jobs)
         self._measure_all()
@@ -263,7 +266,14 @@ def main() -> None:
     os.environ["PYTHONPATH"] = str(FOLDER)
     files = [str(file) for layer in LAYERS for file in sorted((ROOT / "tests" / layer).glob("test_*.py"))]
     files.remove(str(ROOT / SLOW))
-    ours = ["-q", "-s", "-p", "no:cacheprovider", f"--rootdir={ROOT}"]
+    ours = [
+        "-q",
+        "-s",
+        "--tb=native",
+        "-p",
+        "no:cacheprovider",
+        f"--rootdir={ROOT}",
+    ]  # other tracebacks parse all mutants
     sys.exit(pytest.main([*ours, *files], plugins=[campaign]) not in (0, pytest.ExitCode.NO_TESTS_COLLECTED))
 
 
