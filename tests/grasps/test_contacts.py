@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
 from regrasp_opt.end_effectors import load_end_effector
-from regrasp_opt.grasps.antipodal import PAD_RIM, contact_depths, contact_pairs
+from regrasp_opt.grasps.antipodal import contact_depths, contact_pairs
 from regrasp_opt.grasps.candidates import frames_about
 from regrasp_opt.grasps.surface import Surface, cast_rays, make_surface, sample_points
 
@@ -87,15 +89,20 @@ def test_frames_turn_evenly_about_their_axis(closing: bool) -> None:
 
 
 @pytest.mark.parametrize("name", ["w", "r85", "r140"])
-def test_contacts_lie_on_the_pads(name: str) -> None:
+def test_contacts_lie_on_the_pads_4_mm_from_their_ends(name: str) -> None:
     tool = load_end_effector(name)
     depths = contact_depths(tool)
-    assert len(depths) == len(set(depths)) >= 1
-    lowest = [box.pose[2, 3] - box.size[2] / 2 - tool.tcp_offset for box in tool.finger]
-    highest = [box.pose[2, 3] + box.size[2] / 2 - tool.tcp_offset for box in tool.finger]
-    pads = [(low, high) for low, high in zip(lowest, highest, strict=True) if high == max(highest)]
-    for depth in depths:
-        assert any(low + PAD_RIM - 1e-12 <= depth <= high - PAD_RIM + 1e-12 for low, high in pads)
+    low, high = (edge - tool.tcp_offset for edge in tool.pad.z)
+    assert len(depths) == len(set(depths)) >= 1 and high - low > 0.008
+    assert min(depths) >= low + 0.004 - 1e-12 and max(depths) <= high - 0.004 + 1e-12
+    thin = replace(tool, pad=tool.pad._replace(z=(tool.tcp_offset - 0.003, tool.tcp_offset + 0.001)))
+    assert contact_depths(thin) == pytest.approx([-0.001])  # the middle, where there is no room for more
+
+
+@pytest.mark.parametrize(("thickness", "held"), [(0.0008, False), (0.0012, True)])
+def test_sheets_of_a_millimetre_are_held(thickness: float, held: bool) -> None:
+    sheet = make_surface(trimesh.creation.box(extents=(0.3, thickness, 0.3)))
+    assert (len(contact_pairs(sheet, load_end_effector("w"), 50, np.random.default_rng(0))[2]) > 0) == held
 
 
 def test_a_line_crosses_a_ball_where_it_should() -> None:

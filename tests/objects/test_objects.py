@@ -136,6 +136,19 @@ def test_scale_turns_millimetres_into_metres(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("longest", "refusal"),
+    [(0.0045, "--scale 1000"), (0.0055, None), (1.95, None), (2.05, r"--scale 0\.001")],
+)
+def test_objects_of_5_mm_to_2_m_are_taken_as_they_are(tmp_path: Path, longest: float, refusal: str | None) -> None:
+    path = save(box(longest / 1.4), tmp_path / "part.stl")
+    if refusal is None:
+        assert load_object(path).mesh.extents.max() == pytest.approx(longest, rel=1e-6)
+        return
+    with pytest.raises(MeshError, match=refusal):
+        load_object(path)
+
+
+@pytest.mark.parametrize(
     ("make", "suffix", "expected"),
     [
         (without_a_triangle, "stl", "not watertight.*--repair"),

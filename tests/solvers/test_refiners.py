@@ -217,6 +217,21 @@ def test_pair_limit_is_kept_or_the_start_is_returned(plugin, random_objective):
     assert (kept | unchanged).all() and kept.any()
 
 
+def test_grasps_that_cannot_matter_are_left_out_without_a_change_of_the_cost(random_objective):
+    """Five of twenty grasps are feasible at an end: with one regrasp eight are enough, with two all are in."""
+    feasible = np.arange(20)[:, None] < [3, 0]
+    feasible[10:12, 1] = True
+    objective = replace(
+        random_objective, start_energy=exact_energy(feasible[:, 0]), goal_energy=exact_energy(feasible[:, 1])
+    )
+    for num_regrasps, grasps in ((1, 8), (2, 20)):
+        starts = random_starts(objective, num_regrasps, 3, np.random.default_rng(0))
+        refined = NlpRefiner().refine(objective, starts, np.random.default_rng(0))
+        assert refined.stats["grasps"] == grasps and refined.stats["solves"] == 3
+        for trace, xi, placements in zip(refined.traces, refined.candidates.xi, starts.placements, strict=True):
+            assert trace[-1] == pytest.approx(objective.cost(placements[None], xi[None])[0], abs=1e-6)
+
+
 def test_each_candidate_has_a_status_and_a_trace(random_objective):
     starts = random_starts(random_objective, 1, 3, np.random.default_rng(4))
     for refiner in REFINERS:
