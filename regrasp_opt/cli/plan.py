@@ -98,7 +98,8 @@ def _print(plan: RegraspPlan, written: list[Path]) -> None:
     console = make_console()
     problem = plan.problem
     colour = "green" if plan.solved else "red"
-    console.print(f"[bold {colour}]{plan.status.name.lower()}[/]: {plan.status.value.removeprefix('solved: ')}")
+    text = escape(plan.message.removeprefix("solved: "))
+    console.print(f"[bold {colour}]{plan.status.name.lower()}[/]: {text}", soft_wrap=True)
     if plan.solved:
         console.print(
             f"{escape(problem.object.name)} in {escape(problem.workcell.name)}: {plan.num_regrasps} regrasp(s), "

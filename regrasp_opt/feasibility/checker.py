@@ -134,12 +134,21 @@ class FeasibilityChecker:
             self._arrange(T, grasp_id)
             return self.scene.clearance(q)
 
+    def collisions(self, T: FloatArray, grasp_id: int, q: FloatArray) -> list[tuple[int, int]]:
+        """Return the pairs of the scene's bodies that are too near each other at configuration `q` (dof,)."""
+        with self._lock:
+            self._arrange(T, grasp_id)
+            return self.scene.collisions(q)
+
     def object_collides(self, T: FloatArray) -> bool:
         """Return whether the object at `T` (4, 4) is too near to something fixed, in the table or over its edge."""
-        return (
-            standing_problem(self._vertices @ T[:3, :3].T + T[:3, 3], self.workcell) is not None
-            or self.object_overlaps(T, self.workcell.clearance.gripper) is not None
-        )
+        return self.object_problem(T) is not None
+
+    def object_problem(self, T: FloatArray) -> str | None:
+        """Return what the object at `T` (4, 4) does that it must not, or None."""
+        problem = standing_problem(self._vertices @ T[:3, :3].T + T[:3, 3], self.workcell)
+        near = None if problem else self.object_overlaps(T, self.workcell.clearance.gripper)
+        return problem if near is None else f"is too near to {near}"
 
     def object_overlaps(self, T: FloatArray, clearance: float) -> str | None:
         """Return what obstacle or base is nearer than `clearance` [m] to the object at `T` (4, 4), or None."""
@@ -164,16 +173,22 @@ class FeasibilityChecker:
 
     def branches(self, T: FloatArray, grasp_ids: IntArray) -> Branches:
         """Return the arm's configurations within limits for M pairs, less those that cannot be free of collision."""
-        T_world_flange = T @ self._T_object_flange[grasp_ids]
-        kept = np.flatnonzero(self._in_reach(T_world_flange) & ~self._gripper_in_table(T_world_flange, grasp_ids))
+        T_world_flange = self.flange_poses(T, grasp_ids)
+        kept = np.flatnonzero(self.in_reach(T_world_flange) & ~self.gripper_in_table(T_world_flange, grasp_ids))
         solutions = self.workcell.robot.solve_ik(self.workcell.T_base_world @ T_world_flange[kept])
         return Branches(solutions.q, kept[solutions.pose_index])
 
-    def _in_reach(self, T_world_flange: FloatArray) -> BoolArray:
+    def flange_poses(self, T: FloatArray, grasp_ids: IntArray) -> FloatArray:
+        """Return ``T_world_flange`` (M, 4, 4) of `grasp_ids` (M,) at object poses `T` (M, 4, 4) or (4, 4)."""
+        poses: FloatArray = T @ self._T_object_flange[grasp_ids]
+        return poses
+
+    def in_reach(self, T_world_flange: FloatArray) -> BoolArray:
+        """Return which flange poses (M, 4, 4) are within a bound of the arm's reach (M,)."""
         base = self.workcell.T_world_base[:3, 3]
         return np.linalg.norm(T_world_flange[:, :3, 3] - base, axis=1) <= self.workcell.robot.max_reach
 
-    def _gripper_in_table(self, T_world_flange: FloatArray, grasp_ids: IntArray) -> BoolArray:
+    def gripper_in_table(self, T_world_flange: FloatArray, grasp_ids: IntArray) -> BoolArray:
         """Return where a corner of the gripper lies in the table, or nearer to its top than the clearance."""
         table, margin = self.workcell.table.shape, self.workcell.clearance.gripper
         corners = self._corners[grasp_ids] @ np.swapaxes(T_world_flange[:, :3, :3], 1, 2)

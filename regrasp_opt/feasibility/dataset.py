@@ -17,6 +17,7 @@ import numpy as np
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, planar_transform
 from regrasp_opt.errors import GraspError, OptionError
 from regrasp_opt.feasibility.checker import FeasibilityChecker
+from regrasp_opt.feasibility.diagnosis import diagnose_poses, summary
 from regrasp_opt.files import UNREADABLE_ARRAYS, atomic_path, content_hash, machine_memory
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel
@@ -134,9 +135,10 @@ def label_pairs(
             if found >= _ENOUGH_TO_TELL:
                 _check_memory(feasible_wanted, feasible_wanted * sum(map(len, blocks)) / found)
             if len(blocks) >= _HOPELESS_BLOCKS and not any(b.feasible.any() for b in blocks[:_HOPELESS_BLOCKS]):
+                failures = diagnose_poses(_checker(task), blocks[0].T[::GRASPS_PER_POSE], np.random.default_rng(0))
                 raise GraspError(
                     f"no grasp of '{task.workcell.end_effector.name}' on '{task.model.name}' is feasible anywhere in "
-                    "the workspace; move the workspace nearer to the robot or use another end-effector"
+                    f"the workspace; of {len(failures)} tried {summary(failures)}"
                 )
     enough = int(np.searchsorted(np.cumsum([b.feasible.sum() for b in blocks]), feasible_wanted)) + 1
     blocks = blocks[:enough]  # how many were begun depends on the number of workers; how many count does not

@@ -50,7 +50,7 @@ class CollisionScene:
         self.table = self._fix(shape_geometry(workcell.table.shape), "table", workcell.table.shape.pose)
         self.obstacles = [self._fix(shape_geometry(s), f"obstacle/{s.name}", s.pose) for s in workcell.obstacles]
 
-        gripper = [*body, *self.fingers]
+        gripper = self.gripper = [*body, *self.fingers]
         clearance = workcell.clearance
         pairs: list[tuple[int, int, float]] = []
         pairs += [(i, self.table, clearance.gripper) for i in gripper]
@@ -61,7 +61,8 @@ class CollisionScene:
         others = [j for j in arm if self._joint(j) != self._tip_joint]
         pairs += [(i, j, clearance.self_collision) for i in gripper for j in others]
         pairs += [(i, j, clearance.self_collision) for i, j in robot.self_collision_pairs()]
-        for i, j, _ in pairs:
+        self._robot, self._pairs = robot, [(i, j) for i, j, _ in pairs]
+        for i, j in self._pairs:
             self.geometry.addCollisionPair(pin.CollisionPair(i, j))
         self.margins = np.array([margin for _, _, margin in pairs])
         self.data, self.geometry_data = self.model.createData(), self.geometry.createData()
@@ -107,6 +108,22 @@ class CollisionScene:
     def collides(self, q: FloatArray) -> bool:
         """Return whether any pair is nearer than its clearance at configuration `q`."""
         return bool(pin.computeCollisions(self.model, self.data, self._boxes_first, q, True))
+
+    def collisions(self, q: FloatArray) -> list[tuple[int, int]]:
+        """Return all pairs of bodies, by index, that are nearer than their clearance at configuration `q`."""
+        pin.computeCollisions(self.model, self.data, self.geometry, self.geometry_data, q, False)
+        results = self.geometry_data.collisionResults
+        return [pair for pair, result in zip(self._pairs, results, strict=True) if result.isCollision()]
+
+    def name(self, index: int) -> str:
+        """Return what to call the body `index`: its link, or its own name."""
+        if index < self._robot.collision.ngeoms:
+            return self._robot.link_of(index)
+        return str(self.geometry.geometryObjects[index].name).rpartition("/")[2]
+
+    def is_obstacle(self, index: int) -> bool:
+        """Return whether the body `index` is an obstacle of the workcell."""
+        return index in self.obstacles
 
     def clearance(self, q: FloatArray) -> float:
         """Return the least distance at `q` between arm or gripper and table, obstacles or (arm only) object [m].

@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from regrasp_opt.conventions import FloatArray, IntArray
+from regrasp_opt.feasibility.diagnosis import diagnose, summary
 
 if TYPE_CHECKING:
     from regrasp_opt.planning.problem import RegraspProblem
@@ -15,15 +17,11 @@ if TYPE_CHECKING:
 
 
 class Status(Enum):
-    """How planning ended; the value is the sentence to show, and says what to try next."""
+    """How planning ended; the value says so, and what to try next. `RegraspPlan.message` says more about ends."""
 
     SOLVED = "solved: every transition has a grasp that was proved reachable and free of collision at both poses"
-    START_INFEASIBLE = (
-        "no grasp is feasible at the start pose; move the start, or give more grasps or another end-effector"
-    )
-    GOAL_INFEASIBLE = (
-        "no grasp is feasible at the goal pose; move the goal, or give more grasps or another end-effector"
-    )
+    START_INFEASIBLE = "no grasp is feasible at the start pose"
+    GOAL_INFEASIBLE = "no grasp is feasible at the goal pose"
     NOT_FOUND = "no plan was found; allow more regrasps, give more grasps, or try refiner 'ipopt' with another seed"
     TIME_LIMIT = "the time limit ran out before a plan was found; give more time or allow fewer regrasps"
 
@@ -97,6 +95,15 @@ class RegraspPlan:
     def solved(self) -> bool:
         """Whether the status is SOLVED."""
         return self.status is Status.SOLVED
+
+    @cached_property
+    def message(self) -> str:
+        """How planning ended; for an end without a feasible grasp with counts of the causes, and what helps."""
+        ends = {Status.START_INFEASIBLE: 0, Status.GOAL_INFEASIBLE: -1}
+        if self.status not in ends:
+            return self.status.value
+        failures = diagnose(self.problem.checker, self.poses[ends[self.status]])
+        return f"{self.status.value}: {summary(failures)}"
 
     def residuals(self) -> Residuals:
         """Recompute what the plan claims to be feasible from problem data alone, apart from the planner's checks.

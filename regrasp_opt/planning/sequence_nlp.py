@@ -11,6 +11,7 @@ from regrasp_opt.connectivity import CostOptions, SequenceObjective
 from regrasp_opt.connectivity.casadi_costs import INPUT
 from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.errors import OptionError, PoseError
+from regrasp_opt.feasibility.diagnosis import diagnose, summary
 from regrasp_opt.planning.ends import checked_end, known_energy
 from regrasp_opt.solvers import RegraspNLP, lattice_starts
 from regrasp_opt.solvers.nlp import useful_grasps_near
@@ -73,7 +74,7 @@ def _end(problem: RegraspProblem, end: Any, name: str) -> Any:
     T = checked_end(end, name, problem)
     feasible = problem.feasible_grasps(T)
     if not feasible.any():
-        raise PoseError(f"no grasp is feasible at the {name} pose; move it, or sample more grasps")
+        raise PoseError(f"no grasp is feasible at the {name} pose: {summary(diagnose(problem.checker, T))}")
     return known_energy(problem.energy, T, feasible)
 
 

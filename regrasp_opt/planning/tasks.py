@@ -9,6 +9,7 @@ import numpy as np
 from regrasp_opt.conventions import FloatArray, planar_transform
 from regrasp_opt.errors import GraspError, PoseError
 from regrasp_opt.feasibility.dataset import random_poses
+from regrasp_opt.feasibility.diagnosis import diagnose_poses, summary
 from regrasp_opt.planning.ends import checked_end
 from regrasp_opt.planning.problem import RegraspProblem
 
@@ -32,18 +33,21 @@ def random_graspable_pose(problem: RegraspProblem, rng: np.random.Generator) -> 
         If none is found.
     """
     bounds = problem.workcell.bounds.array
+    empty, refused = list[FloatArray](), ""
     for _ in range(_ATTEMPTS):
         placement, xi = random_poses(problem.placement_poses, bounds, 1, rng)
         T = planar_transform(xi[0]) @ problem.placement_poses[placement[0]]
         try:
             checked_end(T, "start", problem)
-        except PoseError:
+        except PoseError as error:
+            refused = str(error)
             continue
         if problem.feasible_grasps(T).any():
             return T
+        empty.append(T)
+    reason = summary(diagnose_poses(problem.checker, empty, rng)) if empty else refused
     raise GraspError(
-        f"no pose of '{problem.object.name}' with a feasible grasp was found in {_ATTEMPTS} tries; "
-        "prepare more grasps, or use another end-effector or workspace"
+        f"no pose of '{problem.object.name}' with a feasible grasp was found in {_ATTEMPTS} tries: {reason}"
     )
 
 

@@ -156,7 +156,7 @@ def plan_scene(plan: RegraspPlan, track: Track | None = None, candidates: Candid
 
 def _subtitle(plan: RegraspPlan, track: Track | None) -> str:
     if not plan.solved:
-        return plan.status.value
+        return plan.message
     cost = "" if np.isnan(plan.cost) else f", J_seq {plan.cost:.2f}"
     duration = "" if track is None else f", motion of {track.times[-1]:.1f} s"
     return f"{plan.num_regrasps} regrasp(s){cost}{duration}"
