@@ -4,8 +4,9 @@ from regrasp_opt.motion.free_grasps import FreeGraspOptions, solve_with_free_gra
 from regrasp_opt.motion.joint_measures import Bounds, JointMeasures
 from regrasp_opt.motion.joint_refine import JointResult, refine_plan
 from regrasp_opt.motion.joint_search import SearchOptions
+from regrasp_opt.motion.motion_data import MotionStatus, Phase, Segment
 from regrasp_opt.motion.options import MotionOptions
-from regrasp_opt.motion.plan import MotionPlan, MotionStatus, Phase, Segment
+from regrasp_opt.motion.plan import MotionPlan
 from regrasp_opt.motion.planner import plan_motion
 from regrasp_opt.motion.together import plan_with_motion
 from regrasp_opt.motion.trajectory import Trajectory

@@ -10,8 +10,8 @@ import numpy as np
 
 from regrasp_opt.conventions import FK_POSITION_TOLERANCE, FK_ROTATION_TOLERANCE, FloatArray, pose_distance
 from regrasp_opt.motion.connections import Connector
+from regrasp_opt.motion.motion_data import Phase, Segment
 from regrasp_opt.motion.options import JAW_TIME
-from regrasp_opt.motion.plan import Phase, Segment
 from regrasp_opt.motion.scene import LEVELS, MotionScene, Setting
 from regrasp_opt.motion.trajectory import Trajectory
 from regrasp_opt.planning import RegraspPlan

@@ -6,7 +6,7 @@ import csv
 import json
 import os
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.errors import OptionError, PlanFileError
 from regrasp_opt.files import atomic_path
-from regrasp_opt.motion.plan import MotionPlan, MotionStatus, Phase, Segment
+from regrasp_opt.motion.motion_data import MotionData, MotionStatus, Phase, Segment
 from regrasp_opt.motion.trajectory import Trajectory
 from regrasp_opt.planning import RegraspPlan
 from regrasp_opt.planning.plan_file import plan_content, plan_from_content, read_json, validated
@@ -32,6 +32,9 @@ Row = list[Annotated[float, Field(ge=-FASTEST, le=FASTEST)]]
 Limits = list[Annotated[float, Field(gt=0)]]
 _STATUSES = {status.name.lower(): status for status in MotionStatus}
 _PHASES = {phase.name.lower(): phase for phase in Phase}
+
+
+Motion = TypeVar("Motion", bound=MotionData)
 
 
 class _Record(BaseModel):
@@ -61,7 +64,7 @@ class _File(_Record):
     plan: dict[str, Any]
 
 
-def motion_content(motion: MotionPlan) -> dict[str, Any]:
+def motion_content(motion: MotionData) -> dict[str, Any]:
     """Return what the file of `motion` holds."""
     return {
         "schema": SCHEMA,
@@ -88,22 +91,22 @@ def motion_content(motion: MotionPlan) -> dict[str, Any]:
     }
 
 
-def save_motion(motion: MotionPlan, path: str | os.PathLike[str]) -> None:
+def save_motion(motion: MotionData, path: str | os.PathLike[str]) -> None:
     """Write `motion` with its plan to `path`."""
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(motion_content(motion), allow_nan=False) + "\n", encoding="utf-8")
 
 
-def load_motion(path: str | os.PathLike[str]) -> MotionPlan:
-    """Read a motion; see `MotionPlan.load`."""
+def load_motion(path: str | os.PathLike[str], kind: type[Motion]) -> Motion:
+    """Read a motion of class `kind`; see `MotionPlan.load`."""
     path = Path(path)
     content = _parse(read_json(path, "motion"), path)
-    plan = plan_from_content(content.plan, path)
+    plan = plan_from_content(content.plan, path, RegraspPlan)
     robot = plan.problem.workcell.robot
     limits = [np.array(row, dtype=np.float64) for row in (content.velocity_limits, content.acceleration_limits)]
     if tuple(content.joint_names) != robot.joint_names or any(limit.shape != (robot.dof,) for limit in limits):
         raise PlanFileError(f"'{path}' is a motion of other joints than those of '{robot.name}'; plan the motion again")
-    return MotionPlan(
+    return kind(
         status=_STATUSES[content.status],
         reason=content.reason,
         plan=plan,
@@ -144,7 +147,7 @@ def _segment(record: _Segment, plan: RegraspPlan, path: Path) -> Segment:
     return Segment(_PHASES[record.phase], record.transition, record.grasp_id, trajectory, jaw)
 
 
-def save_motion_csv(motion: MotionPlan, path: str | os.PathLike[str], step: float) -> None:
+def save_motion_csv(motion: MotionData, path: str | os.PathLike[str], step: float) -> None:
     """Write `motion` as one row for every `step` seconds, and one for its end.
 
     Columns are ``time`` [s], ``phase``, ``jaw`` [m], the joints' positions under their names and their velocities
@@ -181,7 +184,7 @@ def check_step(step: float) -> None:
         raise OptionError(f"step is {step}; give a positive number of seconds")
 
 
-def state_at(motion: MotionPlan, t: float) -> tuple[Segment, FloatArray, FloatArray, float]:
+def state_at(motion: MotionData, t: float) -> tuple[Segment, FloatArray, FloatArray, float]:
     """Return the segment, joint positions and velocities (dof,) and jaw opening [m] at time `t` [s] of `motion`.
 
     The jaw moves evenly over a segment.

@@ -22,8 +22,9 @@ from regrasp_opt.conventions import FloatArray
 from regrasp_opt.grasps import hold_failures
 from regrasp_opt.motion.connections import Connector
 from regrasp_opt.motion.handling import Handling, Hold, Rest, Tools
+from regrasp_opt.motion.motion_data import MotionStatus, Phase, Segment
 from regrasp_opt.motion.options import MotionOptions
-from regrasp_opt.motion.plan import MotionPlan, MotionStatus, Phase, Segment
+from regrasp_opt.motion.plan import MotionPlan
 from regrasp_opt.motion.runs import shortened
 from regrasp_opt.motion.scene import LEVELS, MotionScene
 from regrasp_opt.planning import RegraspPlan, RegraspProblem, Transition

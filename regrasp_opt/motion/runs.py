@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.motion.connections import Connector
-from regrasp_opt.motion.plan import Phase, Segment
+from regrasp_opt.motion.motion_data import Phase, Segment
 from regrasp_opt.motion.run_program import LINE_STEPS, STEPS, Crossing, Line, fastest_run
 from regrasp_opt.motion.scene import MotionScene, Setting
 from regrasp_opt.motion.trajectory import Trajectory

@@ -1,6 +1,7 @@
 """From a problem to a proved plan: `RegraspProblem`, `solve_sequence`, `RegraspPlan` and `prepare`."""
 
-from regrasp_opt.planning.plan import RegraspPlan, Status, Transition
+from regrasp_opt.planning.plan import RegraspPlan
+from regrasp_opt.planning.plan_data import Status, Transition
 from regrasp_opt.planning.problem import RegraspProblem
 from regrasp_opt.planning.recipes import Recipe
 from regrasp_opt.planning.search import solve_sequence

@@ -17,7 +17,7 @@ from regrasp_opt.files import atomic_path
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import load_object
 from regrasp_opt.planning.model_store import find_model
-from regrasp_opt.planning.plan import RegraspPlan, Status, Transition
+from regrasp_opt.planning.plan_data import PlanData, Status, Transition
 from regrasp_opt.planning.problem import RegraspProblem, assemble
 from regrasp_opt.workcell import load_workcell
 
@@ -26,6 +26,9 @@ SCHEMA = 1
 Row = list[float]
 Planar = Annotated[list[float], Field(min_length=3, max_length=3)]
 Number = Annotated[int, Field(ge=0, lt=2**31)]
+
+
+Plan = TypeVar("Plan", bound=PlanData)
 
 
 class _Record(BaseModel):
@@ -70,7 +73,7 @@ class _File(_Record):
     grasps: Annotated[list[_Grasp], Field(min_length=1)]
 
 
-def plan_summary(plan: RegraspPlan) -> dict[str, Any]:
+def plan_summary(plan: PlanData) -> dict[str, Any]:
     """Return the keys that ``--json`` prints: status, num_regrasps, cost, poses, transitions and timings."""
     return {
         "status": plan.status.name.lower(),
@@ -85,13 +88,13 @@ def plan_summary(plan: RegraspPlan) -> dict[str, Any]:
     }
 
 
-def save_plan(plan: RegraspPlan, path: str | os.PathLike[str]) -> None:
+def save_plan(plan: PlanData, path: str | os.PathLike[str]) -> None:
     """Write `plan` to `path`; the file holds the grasps and names the object and workcell it was made for."""
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(plan_content(plan), allow_nan=False) + "\n", encoding="utf-8")
 
 
-def plan_content(plan: RegraspPlan) -> dict[str, Any]:
+def plan_content(plan: PlanData) -> dict[str, Any]:
     """Return what the file of `plan` holds."""
     problem = plan.problem
     body, cell = problem.object, problem.workcell
@@ -122,20 +125,20 @@ def plan_content(plan: RegraspPlan) -> dict[str, Any]:
     }
 
 
-def load_plan(path: str | os.PathLike[str]) -> RegraspPlan:
-    """Read a plan; see `RegraspPlan.load`."""
-    return plan_from_content(read_json(Path(path), "plan"), Path(path))
+def load_plan(path: str | os.PathLike[str], kind: type[Plan]) -> Plan:
+    """Read a plan of class `kind`; see `RegraspPlan.load`."""
+    return plan_from_content(read_json(Path(path), "plan"), Path(path), kind)
 
 
-def plan_from_content(raw: Any, path: Path) -> RegraspPlan:
-    """Return the plan that `plan_content` gave; `path` is where it was read, for messages."""
+def plan_from_content(raw: Any, path: Path, kind: type[Plan]) -> Plan:
+    """Return the plan of class `kind` that `plan_content` gave; `path` is where it was read, for messages."""
     content = _parse(raw, path)
     problem = _problem(content, path)
     try:
         poses = np.array([as_pose(T, f"pose {i}") for i, T in enumerate(content.poses)])
     except PoseError as error:
         raise PlanFileError(f"'{path}': {error}") from error
-    plan = RegraspPlan(
+    plan = kind(
         status=Status[content.status.upper()],
         poses=poses,
         placements=np.array(content.placements, dtype=np.int64),

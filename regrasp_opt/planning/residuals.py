@@ -10,7 +10,7 @@ problem's. A plan's cost is a record and is not recomputed.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import coal
 import numpy as np
@@ -29,10 +29,8 @@ from regrasp_opt.conventions import (
 )
 from regrasp_opt.feasibility.geometry import mesh_geometry, shape_geometry
 from regrasp_opt.grasps import hold_failures
-
-if TYPE_CHECKING:
-    from regrasp_opt.planning.plan import RegraspPlan, Transition
-    from regrasp_opt.planning.problem import RegraspProblem
+from regrasp_opt.planning.plan_data import PlanData, Transition
+from regrasp_opt.planning.problem import RegraspProblem
 
 
 class Body(NamedTuple):
@@ -95,7 +93,7 @@ class Residuals:
         return not self.problems
 
 
-def compute_residuals(plan: RegraspPlan) -> Residuals:
+def compute_residuals(plan: PlanData) -> Residuals:
     """Recompute every claim of `plan`; see `RegraspPlan.residuals`."""
     scene = _Scene(plan.problem)
     problems: list[str] = []
@@ -112,7 +110,7 @@ def compute_residuals(plan: RegraspPlan) -> Residuals:
     return Residuals(tuple(transitions), placement_error, tuple(problems))
 
 
-def _end_violations(plan: RegraspPlan) -> list[str]:
+def _end_violations(plan: PlanData) -> list[str]:
     """Return what keeps the object from lying on the table at start and goal, inside the workspace."""
     body, cell = plan.problem.object, plan.problem.workcell
     texts = []
@@ -140,7 +138,7 @@ def _leans_out(points: FloatArray) -> bool:
     return bool(gaps.max() > np.pi + 1e-6)
 
 
-def _edge_violations(plan: RegraspPlan) -> list[str]:
+def _edge_violations(plan: PlanData) -> list[str]:
     """Return at which poses the object touches the table beyond its edges.
 
     It touches with its lowest points, and with all that are as near to the table as resting may be. Rounding is given
@@ -157,7 +155,7 @@ def _edge_violations(plan: RegraspPlan) -> list[str]:
     return texts
 
 
-def _placement_errors(plan: RegraspPlan, problems: list[str]) -> FloatArray:
+def _placement_errors(plan: PlanData, problems: list[str]) -> FloatArray:
     """Return how far intermediate poses are from stable placements inside the workspace; append what is wrong."""
     errors = []
     low, high = plan.problem.workcell.bounds.array

@@ -20,7 +20,8 @@ from regrasp_opt.connectivity import CostOptions, SequenceObjective, exact_energ
 from regrasp_opt.conventions import BoolArray, FloatArray, as_seed
 from regrasp_opt.errors import OptionError
 from regrasp_opt.planning.ends import checked_end, known_energy
-from regrasp_opt.planning.plan import RegraspPlan, Status
+from regrasp_opt.planning.plan import RegraspPlan
+from regrasp_opt.planning.plan_data import Status
 from regrasp_opt.planning.problem import RegraspProblem
 from regrasp_opt.planning.recipes import Recipe, as_recipe
 from regrasp_opt.planning.verification import PoseKnowledge, enumerate_transition, prove_sequence

@@ -14,7 +14,7 @@ import numpy as np
 
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
 from regrasp_opt.feasibility import FeasibilityChecker
-from regrasp_opt.planning.plan import Transition
+from regrasp_opt.planning.plan_data import Transition
 
 _CHUNK = 8
 """Grasps that are checked at once before looking whether one sufficed."""

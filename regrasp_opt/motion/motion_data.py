@@ -1,0 +1,94 @@
+"""What a motion plan holds: what the arm and the jaw do, one segment after the other, to carry out a regrasp plan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from regrasp_opt.conventions import FloatArray
+from regrasp_opt.motion.trajectory import Trajectory
+from regrasp_opt.planning import RegraspPlan
+
+
+class Phase(Enum):
+    """What a segment is for; the value says it."""
+
+    REACH = "the arm moves, the jaw empty, to where the approach begins"
+    APPROACH = "the open jaw moves along a straight line to the grasp"
+    GRASP = "the jaw closes, the arm rests"
+    LIFT = "the object is lifted along a straight line"
+    TRANSFER = "the object is carried to above its next pose"
+    LOWER = "the object is lowered along a straight line"
+    RELEASE = "the jaw opens, the arm rests"
+    RETREAT = "the open jaw moves back along a straight line"
+    RETURN = "the arm returns home"
+
+    @property
+    def holds(self) -> bool:
+        """Whether the object moves with the hand."""
+        return self in (Phase.LIFT, Phase.TRANSFER, Phase.LOWER)
+
+
+class MotionStatus(Enum):
+    """How motion planning ended; the value is the sentence to show, and says what to try next."""
+
+    SOLVED = "solved: every segment was proved free of collision and within the joint limits"
+    NO_PLAN = "the regrasp plan is not solved, so there is nothing to move; plan again first"
+    HOME_BLOCKED = "the home configuration collides; choose another home, or None"
+    NO_MOTION = (
+        "no shared grasp of a transition admits a motion; try plan_with_motion, more iterations, or shorter distances"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """A part of a motion; the arm rests while the jaw closes or opens.
+
+    Attributes
+    ----------
+    phase : Phase
+    transition : int
+        Number of the plan's transition; for the way home that of the last one.
+    grasp_id : int
+        Number into ``problem.grasps`` of the transition's grasp.
+    trajectory : Trajectory
+    jaw : (float, float)
+        Opening of the jaw at the beginning and at the end [m]; 0 for suction.
+    """
+
+    phase: Phase
+    transition: int
+    grasp_id: int
+    trajectory: Trajectory
+    jaw: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class MotionData:
+    """The fields of a `MotionPlan`, and what follows from them."""
+
+    status: MotionStatus
+    reason: str
+    plan: RegraspPlan
+    segments: tuple[Segment, ...]
+    velocity_limits: FloatArray
+    acceleration_limits: FloatArray
+    seconds: float
+
+    @property
+    def solved(self) -> bool:
+        """Whether the status is SOLVED."""
+        return self.status is MotionStatus.SOLVED
+
+    @property
+    def duration(self) -> float:
+        """How long the motion takes [s]."""
+        return float(sum(segment.trajectory.duration for segment in self.segments))
+
+    @property
+    def starts(self) -> FloatArray:
+        """When each segment begins (S,) [s]."""
+        durations = [segment.trajectory.duration for segment in self.segments]
+        return np.concatenate([[0.0], np.cumsum(durations)])[:-1] if durations else np.zeros(0)

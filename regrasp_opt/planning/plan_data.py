@@ -1,0 +1,78 @@
+"""What a regrasp plan holds: the poses, and for each move between neighbours every grasp that was proved at both."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+from functools import cached_property
+from typing import Any
+
+from regrasp_opt.conventions import FloatArray, IntArray
+from regrasp_opt.feasibility.diagnosis import diagnose, summary
+from regrasp_opt.planning.problem import RegraspProblem
+
+
+class Status(Enum):
+    """How planning ended; the value says so, and what to try next. `RegraspPlan.message` says more about ends."""
+
+    SOLVED = "solved: every transition has a grasp that was proved reachable and free of collision at both poses"
+    START_INFEASIBLE = "no grasp is feasible at the start pose"
+    GOAL_INFEASIBLE = "no grasp is feasible at the goal pose"
+    NOT_FOUND = "no plan was found; allow more regrasps, give more grasps, or try refiner 'ipopt' with another seed"
+    TIME_LIMIT = "the time limit ran out before a plan was found; give more time or allow fewer regrasps"
+
+
+@dataclass(frozen=True)
+class Transition:
+    """One pick-and-place between neighbouring poses, with all grasps that were proved at both (K of them).
+
+    Attributes
+    ----------
+    grasp_ids : (K,) int
+        Numbers into ``problem.grasps``.
+    q_pick, q_place : (K, dof) float64
+        Joint configurations [rad] that hold the grasp at the first and at the second pose, as near to each other as
+        the arm's branches allow.
+    clearance : (K,) float64
+        Least distance of arm and gripper to table and obstacles, and of the arm to the object, over both [m].
+    """
+
+    grasp_ids: IntArray
+    q_pick: FloatArray
+    q_place: FloatArray
+    clearance: FloatArray
+
+
+@dataclass(frozen=True)
+class PlanData:
+    """The fields of a `RegraspPlan`, and what follows from them."""
+
+    status: Status
+    poses: FloatArray
+    placements: IntArray
+    xi: FloatArray
+    transitions: tuple[Transition, ...]
+    cost: float
+    timings: dict[str, float]
+    refiner_stats: list[dict[str, Any]]
+    seed: int
+    problem: RegraspProblem = field(repr=False, compare=False)
+
+    @property
+    def num_regrasps(self) -> int:
+        """Number N of intermediate poses."""
+        return len(self.poses) - 2
+
+    @property
+    def solved(self) -> bool:
+        """Whether the status is SOLVED."""
+        return self.status is Status.SOLVED
+
+    @cached_property
+    def message(self) -> str:
+        """How planning ended; for an end without a feasible grasp with counts of the causes, and what helps."""
+        ends = {Status.START_INFEASIBLE: 0, Status.GOAL_INFEASIBLE: -1}
+        if self.status not in ends:
+            return self.status.value
+        failures = diagnose(self.problem.checker, self.poses[ends[self.status]])
+        return f"{self.status.value}: {summary(failures)}"
