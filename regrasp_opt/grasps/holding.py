@@ -27,8 +27,11 @@ GAP = max(WIDENINGS) / 2 + ROUNDING
 """Farthest that the object may be inside a pad at the stated opening [m]: as far as a flat pad that the sampler closes
 on a bumpy side. A jaw that closes farther moves the object on its way."""
 
-LINE_SPACING = 0.003
-"""Distance between the closing lines on a pad [m]; a narrower contact that lies between them is not seen."""
+SPACING, FINE = 0.003, 0.001
+"""Distance between the closing lines that are tried all over a pad, and along its two middle lines [m]."""
+
+MOST_LINES = 40
+"""Most lines of a grid along each side of a pad; on larger pads they lie farther apart."""
 
 TILT = np.deg2rad(10.0)
 """Largest angle between the approach of a cup and the mean normal under it [rad]; the sampler's stay within 7 degrees.
@@ -95,12 +98,19 @@ def _jaw_failures(surface: Surface, grasps: GraspSet, effector: EndEffector) -> 
 
 def _pad_lines(effector: EndEffector) -> FloatArray:
     """Return where closing lines meet a pad (L, 2): x and z in the frame of the TCP [m]."""
-    ends = np.array([effector.pad.x, effector.pad.z]) - [[0.0], [effector.tcp_offset]]
-    counts = np.ceil(np.diff(ends) / LINE_SPACING).astype(int).ravel()
-    x, z = (
-        low + (np.arange(count) + 0.5) * (high - low) / count for (low, high), count in zip(ends, counts, strict=True)
+
+    def spread(ends: tuple[float, float], spacing: float, most: float) -> FloatArray:
+        count = int(min(np.ceil((ends[1] - ends[0]) / spacing), most))
+        return ends[0] + (np.arange(count) + 0.5) * (ends[1] - ends[0]) / count
+
+    x, (low, high) = effector.pad.x, effector.pad.z
+    z = low - effector.tcp_offset, high - effector.tcp_offset
+    grids = (
+        (spread(x, SPACING, MOST_LINES), spread(z, SPACING, MOST_LINES)),
+        (np.zeros(1), spread(z, FINE, np.inf)),
+        (spread(x, FINE, np.inf), np.clip([0.0], *z)),
     )
-    return np.stack(np.meshgrid(x, z), axis=-1).reshape(-1, 2)
+    return np.concatenate([np.stack(np.meshgrid(*grid), axis=-1).reshape(-1, 2) for grid in grids])
 
 
 def _contacts(

@@ -48,6 +48,41 @@ def test_parallel_grippers_fill_their_stated_envelope(name: str) -> None:
     assert low[2] == pytest.approx(max(surface_points(body)[:, 2].max() for body in gripper.body))
 
 
+@pytest.mark.parametrize(
+    ("name", "width", "ends"),
+    [("w", 0.025, (0.086, 0.1785)), ("r140", 0.027, (0.141, 0.206)), ("r85", 0.020, (0.128, 0.163))],
+)
+def test_pads_are_as_large_as_stated(name: str, width: float, ends: tuple[float, float]) -> None:
+    pad = load_end_effector(name).pad
+    np.testing.assert_allclose([*pad.x, *pad.z], [-width / 2, width / 2, *ends], atol=1e-12)
+
+
+def read(path: Path, text: str) -> EndEffector:
+    path.write_text(text)
+    return load_end_effector(path)
+
+
+def test_the_pad_is_the_inner_face_of_the_fingertip_unless_given(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    tip = '[[finger]]\nname = "tip"\nbox = { x = [-0.006, 0.008], y = [0.0, 0.004], z = [0.15, 0.18] }\n'
+    back = '[[finger]]\nname = "back"\nbox = { x = [-0.02, 0.02], y = [0.004, 0.01], z = [0.14, 0.18] }\n'
+    given = "[pad]\nx = [-0.002, 0.001]\nz = [0.1, 0.12]\n"
+    for text, pad in (
+        (VALID, [[-0.01, 0.01], [0.08, 0.17]]),
+        (VALID + tip, [[-0.006, 0.008], [0.15, 0.18]]),
+        (VALID + back + tip, [[-0.006, 0.008], [0.15, 0.18]]),
+        (VALID + given, [[-0.002, 0.001], [0.1, 0.12]]),
+    ):
+        np.testing.assert_allclose(read(path, text).pad, pad, atol=1e-12)
+
+
+def test_only_a_pad_that_is_not_the_default_is_part_of_the_fingerprint(tmp_path: Path) -> None:
+    plain = read(tmp_path / "plain.toml", VALID).fingerprint()
+    same = read(tmp_path / "same.toml", VALID + "[pad]\nx = [-0.01, 0.01]\nz = [0.08, 0.17]\n").fingerprint()
+    other = read(tmp_path / "other.toml", VALID + "[pad]\nx = [-0.01, 0.01]\nz = [0.08, 0.16]\n").fingerprint()
+    assert plain == same != other
+
+
 @pytest.mark.parametrize(("name", "tcp", "radius"), [("s1", 0.05, 0.015), ("s2", 0.046, 0.0125), ("s3", 0.03, 0.01)])
 def test_suction_cup_ends_one_lip_short_of_the_tcp(name: str, tcp: float, radius: float) -> None:
     cup = load_end_effector(name)
@@ -115,6 +150,11 @@ def test_a_file_is_read_like_a_built_in(tmp_path: Path) -> None:
         ("z = [0.0, 0.08] }", "z = [0.0, 0.08], q = 1 }", "unknown key 'body.0.box.q'; allowed: x, y, z"),
         ("y = [0.0, 0.01]", "y = [-0.1, 0.01]", "wrong.toml' reaches below y = 0"),
         ("kind =", "kind", "not valid TOML"),
+        ("[[body]]", "[pad]\nx = [-0.02, 0.01]\nz = [0.1, 0.17]\n[[body]]", "keep its x in [-0.01, 0.01]"),
+        ("[[body]]", "[pad]\nx = [-0.01, 0.01]\nz = [0.1, 0.18]\n[[body]]", "keep its z in [0.08, 0.17]"),
+        ("[[body]]", "[pad]\nx = [0.001, 0.01]\nz = [0.1, 0.17]\n[[body]]", "beside the TCP"),
+        ("[[body]]", "[pad]\nx = [-0.01, 0.01]\n[[body]]", "key 'pad.z' is missing; needed here: x, z"),
+        ("x = [-0.01, 0.01]", "x = [0.001, 0.01]", "beside the TCP"),
     ],
 )
 def test_wrong_files_name_the_file_and_the_key(tmp_path: Path, old: str, new: str, expected: str) -> None:

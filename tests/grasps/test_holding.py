@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import coal
@@ -12,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from regrasp_opt.conventions import translation
 from regrasp_opt.end_effectors import EndEffector, load_end_effector
+from regrasp_opt.end_effectors.model import Pad
 from regrasp_opt.grasps import CONTACT_TOLERANCE, Failure, GraspSet, hold_failures, rejected_grasps, sample_grasps
 from regrasp_opt.grasps.antipodal import FRICTION
 from regrasp_opt.grasps.holding import GAP
@@ -117,6 +119,29 @@ def test_a_jaw_on_a_wedge(half_angle: float, expected: Failure | None) -> None:
     corners = [(x, side * slope * 0.05, 0.05) for x in (-0.05, 0.05) for side in (-1, 1)]
     wedge = ObjectModel("wedge", trimesh.convex.convex_hull(np.array([*corners, (-0.05, 0, 0), (0.05, 0, 0)])), ())
     assert failure(moved(z=0.025), 2 * slope * 0.025, wedge) == expected
+
+
+@pytest.mark.parametrize("beyond", [-0.06, -0.0333, -0.0047, 0.0, 0.0029, 0.0121, 0.0179])
+@pytest.mark.parametrize("upright", [False, True])
+def test_a_thin_card_is_held_by_its_edges(beyond: float, upright: bool) -> None:
+    """A card of 1 mm touches a pad in a narrow strip, across its whole length or its whole width."""
+    card = ObjectModel("card", trimesh.creation.box((0.05, 0.08, 0.001)), ())
+    T = moved(axis="y", degrees=90) if upright else moved()
+    assert failure(T @ translation(0, 0, -beyond), 0.08, card) is None
+
+
+def test_a_contact_on_the_finger_but_beside_the_pad_does_not_hold() -> None:
+    tip = replace(W, pad=Pad((-0.0125, 0.0125), (0.17, 0.1785)))
+    for tool, expected in ((W, None), (tip, Failure.NOTHING_HELD)):
+        assert failure(moved(z=-0.04 - 0.015), 0.06, tool=tool) is None  # the brick begins 15 mm beyond the TCP
+        assert failure(moved(z=0.04 - 0.005), 0.06, tool=tool) == expected  # and ends 5 mm beyond it
+
+
+@pytest.mark.parametrize("z", [(0.086, 0.092), (0.1735, 0.1785), (0.12, 0.14)])
+def test_grasps_are_sampled_for_the_pad(z: tuple[float, float]) -> None:
+    tool = replace(W, pad=Pad((-0.005, 0.005), z))
+    grasps = sample_grasps(BRICK, tool, 20, seed=1)
+    assert rejected_grasps(grasps, BRICK, tool) == {}
 
 
 def test_a_mug_is_not_held_where_only_its_wall_is_between_the_fingers() -> None:
