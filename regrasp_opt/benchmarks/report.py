@@ -175,7 +175,8 @@ def _page(summary: dict[str, Any], figures: Sequence[Figure]) -> str:
     parts = [
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>",
         f"<title>{html.escape(summary['title'])}</title><style>{_STYLE}</style></head><body>",
-        f"<h1>{html.escape(summary['title'])}</h1><p>{html.escape(summary['text'])}</p>",
+        f"<h1>{html.escape(summary['title'])}</h1>",
+        *(f"<p>{html.escape(text)}</p>" for text in summary["text"].split("\n\n")),
         f"<p class='note'>{html.escape(_provenance(summary))}</p>",
     ]
     for table in summary["tables"]:

@@ -21,6 +21,7 @@ from regrasp_opt.benchmarks import (
     runner,
 )
 from regrasp_opt.benchmarks import session as session_module
+from regrasp_opt.benchmarks.generation import GENERATORS, OneStepTask, generate
 from regrasp_opt.benchmarks.oracle import Resolution
 from regrasp_opt.benchmarks.paper import CROSS_EFFECTOR, END_EFFECTORS, MULTI_STEP, ONE_STEP
 from regrasp_opt.benchmarks.report import Report, write_report
@@ -29,6 +30,8 @@ from regrasp_opt.benchmarks.session import Session
 from regrasp_opt.cli.app import run
 from regrasp_opt.cli.bench import EXPERIMENTS
 from regrasp_opt.cli.plots import write_bench_plots
+from regrasp_opt.connectivity import CostOptions
+from regrasp_opt.energy.model import GraspEnergy
 from regrasp_opt.planning.tasks import random_task
 
 COARSE = Resolution(0.15, 4)
@@ -128,8 +131,24 @@ def test_cross_effector(session, monkeypatch):
     monkeypatch.setattr(cross_effector, "QUICK", tiny)
     monkeypatch.setattr(cross_effector, "PER_PLACEMENT", 50)
     monkeypatch.setattr(models, "HELD_OUT_POSES", 50)
-    rows = check(cross_effector.run_cross_effector(session), session)
-    assert {(row["trained"], row["tested"]) for row in rows} == {(a, b) for a in ("w", "s1") for b in ("w", "s1")}
+    report = cross_effector.run_cross_effector(session)
+    rows = check(report, session)
+    tools = ("w", "s1")
+    assert {(row["trained"], row["tested"]) for row in rows} == {(a, b) for a in ("constant", *tools) for b in tools}
+    lines = {line[0]: line[1:] for line in report.tables[0].rows}
+    assert list(lines) == ["constant", *tools, "own"] and report.tables[0].columns == ("trained", *tools)
+    assert lines["own"] == (lines["w"][0], lines["s1"][1])
+
+
+def test_the_control_across_end_effectors_knows_only_ends_and_table(bottle_problem):
+    """Its poses are those that the rules leave, spread over the workspace instead of from one corner."""
+    energy = GraspEnergy(cross_effector.constant_energy(), bottle_problem.grasps)
+    ends = np.array([bottle_problem.pose(0, -0.25, 0.40, 0.5), bottle_problem.pose(1, 0.28, 0.38, 2.1)])
+    assert np.ptp(energy(ends)) == 0
+    task = OneStepTask.between(bottle_problem, energy, ends)
+    found = generate(task, GENERATORS["lattice"](), CostOptions(), 200, np.random.default_rng(0))
+    best = found.take(np.flatnonzero(found.cost < found.cost.min() + 1e-6))
+    assert len(best) >= 100 and (np.ptp(best.xi[:, 0, :2], axis=0) > [0.8, 0.4]).all()
 
 
 def test_ablations(session, monkeypatch):
@@ -224,15 +243,21 @@ def test_blocks_of_end_effectors_leave_the_same_tool_out():
     values = {
         (a, b): 0.9 if a == b else 0.1 * (1 + END_EFFECTORS.index(a) // 3) for a in END_EFFECTORS for b in END_EFFECTORS
     }
-    rows = [{"object": "bottle", "trained": a, "tested": b, "sv": sv} for (a, b), sv in values.items()]
+    values |= {("constant", tested): 0.15 for tested in END_EFFECTORS}
+    rows = [{"object": "mug.stl", "trained": a, "tested": b, "sv": sv} for (a, b), sv in values.items()]
     lines = {line[1]: line[2:] for line in cross_effector._blocks(rows).rows}
-    means = {block: line[0] for block, line in lines.items()}
+    assert all(line[0] == 15 and line[2] == 90 for line in lines.values())
+    assert {block: line[4:6] for block, line in lines.items()} == {
+        "same tool": (0, 6), "grippers to grippers": (6, 6), "grippers to suction": (9, 9),
+        "suction to grippers": (0, 9), "suction to suction": (0, 6),
+    }  # fmt: skip
+    means = {block: line[1] for block, line in lines.items()}
     assert means == {
         "same tool": 90, "grippers to grippers": 10, "grippers to suction": 10,
         "suction to grippers": 20, "suction to suction": 20,
     }  # fmt: skip
-    printed = CROSS_EFFECTOR["bottle"]
-    assert lines["suction to suction"][2] == pytest.approx(
+    printed = CROSS_EFFECTOR["mug"]
+    assert lines["suction to suction"][6] == pytest.approx(
         np.mean([printed[a][b] for a in ("s1", "s2", "s3") for b in ("s1", "s2", "s3") if a != b]), abs=0.05
     )
 
