@@ -24,6 +24,7 @@ from regrasp_opt.energy.model import EnergyModel, GraspEnergy
 from regrasp_opt.feasibility.dataset import random_poses
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.planning import RegraspProblem
+from regrasp_opt.threads import one_blas_thread
 
 SIZES = {"N": (1, 2, 3, 4, 6, 8), "G": (50, 100, 200, 500, 1000, 2000), "H": (32, 64, 128, 256)}
 STANDARD = {"N": 2, "G": 200, "H": 64}
@@ -75,24 +76,61 @@ def _derivatives(cost: Any) -> tuple[Any, Any]:
     return ca.Function("gradient", inputs, [gradient]), ca.Function("hessian", inputs, [hessian])
 
 
+class _ProductsByBlas(CasadiEnergy):
+    """Expressions whose products with weights have derivatives through BLAS too.
+
+    CasADi's differentiation multiplies in its own loops, whichever product it differentiates. Here it meets calls of
+    functions that bring their derivatives along: `directions` forward ones at once, and the adjoint.
+    """
+
+    def __init__(self, model: EnergyModel, count: int, directions: int) -> None:
+        super().__init__(model, count)
+        self._directions = directions
+
+    def product(self, a: Any, b: Any) -> Any:
+        if not (a.is_constant() and a.shape[1] > 1):
+            return super().product(a, b)
+        return self._linear("product", a.to_DM(), adjoint=True)(b)
+
+    def _linear(self, name: str, W: Any, *, adjoint: bool) -> Any:
+        shape = W.shape[1], self.count
+        x, none = ca.MX.sym("x", *shape), ca.MX.sym("none", ca.Sparsity(W.shape[0], self.count))
+        seeds = ca.MX.sym("seeds", shape[0], self._directions * self.count)
+        forward, back = f"fwd{self._directions}_{name}", f"adj1_{name}"
+        pushed = [super().product(ca.MX(W), seeds)]
+        rules = {forward: ca.Function(forward, [x, none, seeds], pushed, ["x", "out_y", "fwd_x"], ["fwd_y"])}
+        if adjoint:
+            seed = ca.MX.sym("seed", W.shape[0], self.count)
+            pulled = [self._linear(f"transposed_{name}", W.T, adjoint=False)(seed)]
+            rules[back] = ca.Function(back, [x, none, seed], pulled, ["x", "out_y", "adj_y"], ["adj_x"])
+        return ca.Function(name, [x], [super().product(ca.MX(W), x)], ["x"], ["y"], {"cache": rules})
+
+
 def derivative_speed(repeats: int = 15) -> dict[str, float]:
-    """Return our times [s], those of CasADi's differentiation of the plainly built cost, and their disagreement."""
+    """Return times [s] of our derivatives and of CasADi's of the plainly built cost, and their disagreement.
+
+    CasADi multiplies by the same BLAS: in the cost (``plain_``), or in its derivatives too (``blas_``). They are timed
+    in turn, with one BLAS thread, so that their ratios hold on a busy machine.
+    """
     num_regrasps, count, hidden = (DERIVATIVE_SIZES[axis] for axis in "NGH")
     energy = random_energy(count, hidden)
     arguments = _arguments(energy, num_regrasps)
-    ours = parametric_functions(CasadiEnergy(energy.model, count), CostOptions(), num_regrasps).J_seq
-    plain = plain_sequence_cost(CasadiEnergy(energy.model, count, "reference"), CostOptions(), num_regrasps)
-    pairs = list(zip(_derivatives(ours), _derivatives(plain), strict=True))
-    differences = [float(ca.norm_inf(ca.vec(a(*arguments) - b(*arguments)))) for a, b in pairs]
-    (gradient, plain_gradient), (hessian, plain_hessian) = pairs
-    return {
-        **DERIVATIVE_SIZES,
-        "hessian": median_time(lambda: hessian(*arguments), repeats),
-        "plain_hessian": median_time(lambda: plain_hessian(*arguments), repeats),
-        "gradient": median_time(lambda: gradient(*arguments), repeats),
-        "plain_gradient": median_time(lambda: plain_gradient(*arguments), repeats),
-        "difference": max(differences),
+    plain = {
+        "plain_": CasadiEnergy(energy.model, count),
+        "blas_": _ProductsByBlas(energy.model, count, 3 * num_regrasps),
     }
+    costs = {"": parametric_functions(CasadiEnergy(energy.model, count), CostOptions(), num_regrasps).J_seq}
+    costs |= {key: plain_sequence_cost(built, CostOptions(), num_regrasps) for key, built in plain.items()}
+    functions = {key: _derivatives(cost) for key, cost in costs.items()}
+    result: dict[str, float] = {**DERIVATIVE_SIZES, "difference": 0.0}
+    with one_blas_thread():
+        for number, kind in enumerate(("gradient", "hessian")):
+            calls = {f"{key}{kind}": partial(both[number], *arguments) for key, both in functions.items()}
+            ours, *others = (call() for call in calls.values())
+            result["difference"] = max(result["difference"], *(float(ca.norm_inf(ca.vec(ours - o))) for o in others))
+            turns = [[median_time(call, 1) for call in calls.values()] for _ in range(repeats)]
+            result |= dict(zip(calls, np.median(turns, axis=0).tolist(), strict=True))
+    return result
 
 
 def iteration_curve(axis: str, repeats: int = 15) -> list[dict[str, float]]:
@@ -157,17 +195,18 @@ def _batched(problem: RegraspProblem, T: FloatArray) -> BoolArray:
 
 
 def _plain_loop(problem: RegraspProblem, T: FloatArray) -> BoolArray:
-    """Check pair by pair with nothing rejected early: inverse kinematics, then every branch against everything."""
+    """Check pair by pair as one would at first: inverse kinematics, then its branches until one is free."""
     checker = _same_problem(problem).checker
     cell, scene, grasps = checker.workcell, checker.scene, checker.grasps
     labels = np.zeros((len(T), len(grasps)), dtype=bool)
     ids: IntArray = np.arange(len(grasps))
     for b, pose in enumerate(T):
         scene.place_object(pose)
-        apart = not checker.object_collides(pose)
+        if checker.object_collides(pose):
+            continue
         for g in ids.tolist():
             scene.set_grasp(g)
             T_world_flange = pose @ grasps.T_object_tcp[g] @ cell.end_effector.T_tcp_flange
             branches = cell.robot.solve_ik(cell.T_base_world @ T_world_flange).q
-            labels[b, g] = apart and any([not scene.collides(q) for q in branches])
+            labels[b, g] = any(not scene.collides(q) for q in branches)
     return labels

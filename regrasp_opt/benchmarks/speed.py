@@ -30,7 +30,7 @@ from regrasp_opt.planning.tasks import Task, random_task
 from regrasp_opt.solvers import NlpRefiner
 
 THIN_GRASPS = 12
-"""Grasps of the problems that need two or three regrasps."""
+"""Grasps of the problems with few of them: with all, few tasks need two regrasps, and nearly none three."""
 Row = dict[str, Any]
 
 
@@ -41,9 +41,11 @@ class Sizes:
     Attributes
     ----------
     plans : int
-        Number of plans with one regrasp for each object; as many with two or three are looked for.
+        Number of tasks with all grasps for each object.
+    thin : int
+        Number of plans with two or three regrasps that are looked for with few grasps.
     langevin : int
-        Number of these tasks, from the first, that are also planned by Langevin at the paper's setting.
+        Number of the tasks with one regrasp, from the first, that are also planned by Langevin at the paper's setting.
     repeats : int
         Number of times that each derivative and each point of a curve is timed.
     checks : int
@@ -55,6 +57,7 @@ class Sizes:
     """
 
     plans: int
+    thin: int
     langevin: int
     repeats: int
     checks: int
@@ -62,35 +65,27 @@ class Sizes:
     samples: int
 
 
-QUICK = Sizes(6, 1, 5, 10_000, 3, 2_000)
-FULL = Sizes(40, 30, 25, 100_000, 7, 20_000)
+QUICK = Sizes(12, 6, 1, 5, 10_000, 3, 2_000)
+FULL = Sizes(200, 40, 30, 25, 100_000, 7, 20_000)
 
 
-def plan_rows(name: str, count: int, langevin: int, tell: Callable[[str], None]) -> list[Row]:
-    """Return one row for each timed plan of a built-in object: one regrasp, two or three regrasps, and Langevin.
-
-    Parameters
-    ----------
-    count : int
-        Plans with one regrasp; as many with two or three are looked for with `THIN_GRASPS` grasps.
-    langevin : int
-        How many of the first are also planned by Langevin at the paper's setting.
-    """
+def plan_rows(name: str, sizes: Sizes, tell: Callable[[str], None]) -> list[Row]:
+    """Return one row for each timed plan of a built-in object: with all grasps, by Langevin, with few grasps."""
     problem = RegraspProblem.load(name, "nova2-w")
     rng = np.random.default_rng(0)
-    tasks = [random_task(problem, rng, needs_regrasp=True) for _ in range(count)]
+    tasks = [random_task(problem, rng, needs_regrasp=True) for _ in range(sizes.plans)]
     for task in tasks:  # builds the lattice, and each solver once
         solve_sequence(problem, task.start, task.goal)
     rows = [_timed(problem, task, "ipopt", seed) for seed, task in enumerate(tasks)]
     tell(f"{name}: Langevin at the paper's setting")
-    chosen = [i for i, row in enumerate(rows) if row["N"] == 1][:langevin]
+    chosen = [i for i, row in enumerate(rows) if row["N"] == 1][: sizes.langevin]
     rows += [_timed(problem, tasks[i], "langevin", i) for i in chosen]
-    tell(f"{name}: two and three regrasps")
-    return rows + _deep_rows(problem, count, rng)
+    tell(f"{name}: few grasps")
+    return rows + _thin_rows(problem, sizes.thin, rng)
 
 
-def _deep_rows(problem: RegraspProblem, count: int, rng: np.random.Generator) -> list[Row]:
-    """Return rows of plans with two or three regrasps, on problems with few grasps."""
+def _thin_rows(problem: RegraspProblem, count: int, rng: np.random.Generator) -> list[Row]:
+    """Return rows of plans with two or three regrasps, on problems with `THIN_GRASPS` grasps."""
     rows: list[Row] = []
     finder = Recipe(NlpRefiner(), fallback=0)
     for attempt in range(30):
@@ -99,7 +94,7 @@ def _deep_rows(problem: RegraspProblem, count: int, rng: np.random.Generator) ->
         tasks = [random_task(thin, rng, needs_regrasp=True) for _ in range(25)]
         plans = [solve_sequence(thin, task.start, task.goal, finder, max_regrasps=3) for task in tasks]
         deep = [task for task, plan in zip(tasks, plans, strict=True) if plan.solved and plan.num_regrasps >= 2]
-        rows += [_timed(thin, task, "ipopt", 100 * attempt + k) for k, task in enumerate(deep)]
+        rows += [_timed(thin, task, "ipopt", 100 * attempt + k) | {"thin": True} for k, task in enumerate(deep)]
         if len(rows) >= count:
             break
     return rows
@@ -113,6 +108,7 @@ def _timed(problem: RegraspProblem, task: Task, refiner: str, seed: int) -> Row:
     return {
         "object": problem.object.name,
         "grasps": len(problem.grasps),
+        "thin": False,
         "refiner": refiner,
         "solved": plan.solved,
         "N": plan.num_regrasps if plan.solved else None,
@@ -178,8 +174,8 @@ def measure(*, quick: bool, meshes: list[Path], tell: Callable[[str], None]) -> 
     sizes = QUICK if quick else FULL
     plans: list[Row] = []
     for name in OBJECT_NAMES:
-        tell(f"{name}: one regrasp")
-        plans += plan_rows(name, sizes.plans, sizes.langevin, tell)
+        tell(f"{name}: all grasps")
+        plans += plan_rows(name, sizes, tell)
     tell("derivatives and scaling")
     derivatives = kernels.derivative_speed(sizes.repeats)
     curves = {axis: kernels.iteration_curve(axis, sizes.repeats) for axis in kernels.SIZES}
