@@ -1,4 +1,4 @@
-"""Regrasp planning by continuous optimisation of learned pose connectivity, with every plan physically checked.
+"""Regrasp planning by continuous optimisation of learned pose connectivity, every plan verified by exact checks.
 
 >>> from regrasp_opt import RegraspProblem, solve_sequence
 >>> problem = RegraspProblem.load(object="bottle", workcell="nova2-w")

@@ -9,40 +9,38 @@ from dataclasses import dataclass, replace
 import numpy as np
 import plotly.graph_objects as go
 
-from regrasp_opt.benchmarks.generation import GENERATORS, OneStepTask, generate, verdicts
 from regrasp_opt.benchmarks.instances import Instance, choose_instances, instances_hash
 from regrasp_opt.benchmarks.models import TrainingRequest, trained_energies
-from regrasp_opt.benchmarks.oracle import Resolution
+from regrasp_opt.benchmarks.oracle import Oracle, Resolution
 from regrasp_opt.benchmarks.paper import CROSS_EFFECTOR, END_EFFECTORS, PAPER_OBJECT
 from regrasp_opt.benchmarks.report import Cell, Figure, Report, Table, mean, percent
 from regrasp_opt.benchmarks.runner import Item, Row, progress_bar
 from regrasp_opt.benchmarks.session import QUICK_GRID, Session
 from regrasp_opt.benchmarks.subjects import problem_key, resident
-from regrasp_opt.connectivity import CostOptions
+from regrasp_opt.connectivity import CostOptions, block, exact_energy
+from regrasp_opt.conventions import BoolArray, FloatArray, planar_transform
 from regrasp_opt.energy.features import feature_count
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
 from regrasp_opt.energy.training import TrainingOptions
 from regrasp_opt.errors import RegraspError
 from regrasp_opt.files import content_hash
 from regrasp_opt.planning import RegraspProblem
-from regrasp_opt.solvers import PoseLattice
 from regrasp_opt.workcell import load_workcell
 
 TEXT = (
     "An energy trained with one end-effector (row) ranks intermediate poses for another (column), on the latter's "
-    "grasps: 200 lattice poses for each placement. S.V. is the share of the 100 cheapest that, by the tested tool's "
-    "exact check, share a grasp with start and goal. The jaw width is not an input, and all energies see equally many "
-    "feasible samples. Pairs are drawn at random from those that an exact grid solves with one regrasp."
+    "grasps: all poses of a grid, as they are. S.V. is the share of the 100 cheapest that, by the tested tool's exact "
+    "check, share a grasp with start and goal. The jaw width is not an input, and all energies see equally many "
+    "feasible samples. Pairs are drawn at random from those that the grid solves with one regrasp."
     "\n\n"
     "Much of S.V. is not the energy's doing. In every cell the cost has the tested tool's exact feasible grasps at "
-    "start and goal and its exact table rule in it, and lattice poses are only ranked: there is no descent in these "
-    "tables. The row 'constant' is the control: the same ends, rule and pairs, with an energy that is the same for "
-    "every pose and grasp; poses of equal cost come in random order. What the trained energy adds is the difference to "
-    "that row, and where it is below, the energy of the other tool does harm. The row 'own' repeats the diagonal, the "
-    "energy of the tested tool itself."
+    "start and goal and its exact table rule in it, and poses are only ranked: no descent is in these tables. The "
+    "row 'constant' is the control: the same ends, rule and pairs, with an energy that is the same for every pose and "
+    "grasp; poses of equal cost come in random order. What the trained energy adds is the difference to that row, and "
+    "where it is below, the energy of the other tool does harm. The row 'own' repeats the diagonal, the energy of the "
+    "tested tool itself."
 )
 K_TOP = 100
-PER_PLACEMENT = 200
 CONSTANT, OWN = "constant", "own"
 """Rows beside those of the trained end-effectors: the control, and the diagonal once more."""
 _BLOCK_COLUMNS = ("constant", "trained", "own", "least cell", "below constant", "cells", "paper")
@@ -62,7 +60,7 @@ class Sizes:
 
 
 QUICK = Sizes(("w", "r85", "s1"), 1, 2, 4_000, Resolution(0.1, 8))
-FULL = Sizes(END_EFFECTORS, None, 30, 20_000, QUICK_GRID)
+FULL = Sizes(END_EFFECTORS, None, 50, 20_000, QUICK_GRID)
 
 
 def run_cross_effector(session: Session) -> Report:
@@ -85,7 +83,7 @@ def run_cross_effector(session: Session) -> Report:
             pairs = choose_instances(session.pool(problem), oracle, {"1": sizes.pairs}, session.rng(60), prefix)
             hashes[prefix] = instances_hash(pairs)
             items += [
-                _item(name, trained, tested, energy, problem, pairs, session.seed)
+                _item(name, trained, tested, energy, problem, pairs, oracle, session.seed)
                 for trained, energy in energies.items()
             ]
     results = session.execute("cross-effector", items)
@@ -131,36 +129,41 @@ def _item(
     energy: EnergyModel,
     problem: RegraspProblem,
     pairs: list[Instance],
+    oracle: Oracle,
     seed: int,
 ) -> Item:
-    return Item(
-        f"{name}/{trained}/{tested}",
-        content_hash(problem_key(problem), energy.fingerprint(), instances_hash(pairs), seed, PER_PLACEMENT),
-        measure_transfer,
-        (replace(problem), energy, pairs, seed),
-        {"object": name, "trained": trained, "tested": tested},
-    )
+    depends = content_hash(problem_key(problem), energy.fingerprint(), instances_hash(pairs), oracle.xi, seed, K_TOP)
+    columns: Row = {"object": name, "trained": trained, "tested": tested}
+    arguments = (replace(problem), energy, pairs, oracle, seed)
+    return Item(f"{name}/{trained}/{tested}", depends, measure_transfer, arguments, columns)
 
 
-def measure_transfer(problem: RegraspProblem, model: EnergyModel, pairs: list[Instance], seed: int) -> list[Row]:
-    """Return one row for each pair: S.V. of the poses that the energy `model` generates for `problem`.
+def measure_transfer(
+    problem: RegraspProblem, model: EnergyModel, pairs: list[Instance], oracle: Oracle, seed: int
+) -> list[Row]:
+    """Return one row for each pair: S.V. of the grid poses that are cheapest by the energy `model` for `problem`.
 
     The model sees the TCP poses of the tested grasps as if they were its own tool's: the shift that would put the
     flange at the same place measured worse, because the reach matters less than where the fingers are.
     """
-    problem = resident(problem)
-    energy = GraspEnergy(model, problem.grasps)
-    bounds = problem.workcell.bounds.array
-    lattice = PoseLattice.build(energy, problem.placement_poses, bounds, table_rule=problem.table_rule)
+    problem, rng = resident(problem), np.random.default_rng([seed, 61])
+    feasible = np.array([[problem.feasible_grasps(T) for T in pair.ends] for pair in pairs])
+    costs = bridge_costs(problem, GraspEnergy(model, problem.grasps), oracle, feasible)
     rows = []
-    for instance in pairs:
-        task = OneStepTask.between(problem, energy, instance.ends)
-        rng = np.random.default_rng([seed, 61])
-        found = generate(task, GENERATORS["lattice"](), CostOptions(), PER_PLACEMENT, rng, lattice)
-        found = found.take(slice(0, K_TOP))
-        valid = verdicts(problem.checker, task.poses(found.placements[:, 0], found.xi[:, 0]), task.feasible)
-        rows.append({"pair": instance.name, "sv": float(valid.mean())})
+    for pair, ends, cost in zip(pairs, feasible, costs, strict=True):
+        mixed = rng.permutation(len(cost))  # ties in random order, or they would come from one corner of the workspace
+        cheapest = mixed[np.argsort(cost[mixed], kind="stable")[:K_TOP]]
+        rows.append({"pair": pair.name, "sv": float(oracle.one_step(*ends)[cheapest].mean())})
     return rows
+
+
+def bridge_costs(problem: RegraspProblem, energy: GraspEnergy, oracle: Oracle, feasible: BoolArray) -> FloatArray:
+    """Return ``J_seq`` (B, L) of each grid pose between exact ends `feasible` (B, 2, G), with the table rule."""
+    options, poses = CostOptions(), planar_transform(oracle.xi) @ problem.placement_poses[oracle.placements]
+    energies = block(energy(poses, np.float32), problem.table_rule(oracle.placements, oracle.xi))
+    P, ends = (np.exp(-np.asarray(e, dtype=np.float64) / options.alpha) for e in (energies, exact_energy(feasible)))
+    Q = -options.alpha * np.log(ends @ P.T)  # (B, 2, L), Eq. 4 as an inner product
+    return np.asarray(Q.sum(axis=1) + options.regularisation * (Q[:, 0] - Q[:, 1]) ** 2)
 
 
 def _cell(rows: list[Row], name: str, trained: str, tested: str) -> float | None:
@@ -192,14 +195,16 @@ def _blocks(rows: list[Row]) -> Table:
         for trained, tested in itertools.product(KINDS, repeat=2):
             inside = [c for c in cells if c[0] in KINDS[trained] and c[1] in KINDS[tested] and c[0] != c[1]]
             blocks[f"{trained} to {tested}"] = inside
-        for block, chosen in blocks.items():
+        for direction, chosen in blocks.items():
             values = {cell: _cell(rows, name, *cell) or 0.0 for cell in chosen}
             control = {cell: _cell(rows, name, CONSTANT, cell[1]) or 0.0 for cell in chosen}
             own = [_cell(rows, name, tested, tested) or 0.0 for _, tested in chosen]
             below = sum(values[cell] < control[cell] for cell in chosen)
             paper = [printed[a][b] for a, b in chosen if printed]
             means = (mean(list(figures), 1) for figures in (control.values(), values.values(), own))
-            lines.append((name, block, *means, min(values.values(), default=None), below, len(chosen), mean(paper, 1)))
+            lines.append(
+                (name, direction, *means, min(values.values(), default=None), below, len(chosen), mean(paper, 1))
+            )
     return Table(
         "Means of the blocks",
         ("object", "trained to tested", *_BLOCK_COLUMNS),

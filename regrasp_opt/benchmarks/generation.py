@@ -125,7 +125,7 @@ def generate(
     else:
         if lattice is None:
             lattice = PoseLattice.build(task.energy, task.placements, task.bounds, table_rule=task.table_rule)
-        starts = _lattice_starts(lattice, objective, per_placement, rng)
+        starts = _lattice_starts(lattice, objective, per_placement)
     refined = generator.refiner.refine(objective, starts, rng).candidates
     return refined.best(len(refined))
 
@@ -137,15 +137,12 @@ def _random_starts(objective: SequenceObjective, per_placement: int, rng: np.ran
     return _candidates(objective, np.repeat(np.arange(len(objective.placements)), per_placement)[:, None], xi)
 
 
-def _lattice_starts(
-    lattice: PoseLattice, objective: SequenceObjective, per_placement: int, rng: np.random.Generator
-) -> Candidates:
+def _lattice_starts(lattice: PoseLattice, objective: SequenceObjective, per_placement: int) -> Candidates:
     alpha = objective.options.alpha
     P = np.exp(-lattice.energies / alpha)
     masses = [P @ np.exp(-end / alpha).astype(np.float32) for end in (objective.start_energy, objective.goal_energy)]
     promise = shared_cost(masses[0]) + shared_cost(masses[1])
-    shuffled = rng.permutation(len(promise))  # or poses of equal promise would come from one corner of the workspace
-    order = shuffled[np.argsort(promise[shuffled], kind="stable")]
+    order = np.argsort(promise, kind="stable")
     parts = [order[lattice.placements[order] == s][:per_placement] for s in range(len(objective.placements))]
     chosen = np.concatenate(parts)
     return _candidates(objective, lattice.placements[chosen][:, None], lattice.xi[chosen][:, None])

@@ -23,7 +23,8 @@ from regrasp_opt.planning.tasks import random_task
 TEXT = (
     "Random start-goal pairs that need a regrasp. The first plan that is proved has its motion planned, from the "
     "robot's home and back; where there is none, the search goes on with the next candidate. Each motion is checked "
-    "again, every millimetre and fifth of a degree, by code that shares nothing with the planner."
+    "again, every millimetre and fifth of a degree, by kinematics and interpolation of its own; the "
+    "bodies of the cell and Coal are the planner's."
 )
 PAIRS = {True: 3, False: 50}
 """Pairs an object, in quick and in full runs."""

@@ -110,7 +110,10 @@ def write_document(folder: Path, path: Path) -> None:
     parts = [
         "# Benchmarks",
         "",
-        "This file is written by `regrasp-opt bench`; every figure in it was measured by that command.",
+        "This file is written by `regrasp-opt bench`; every figure in it was measured by that command, but for the "
+        "paper's, which are printed in it. Those stand beside ours for the paper's own meshes alone (`bunny.stl`, "
+        "`mug.stl`, `pentagon.stl`, evaluated with `--objects FOLDER`): the built-in objects are others. Grasps, robot "
+        "model and checker differ from the paper's there too.",
         "",
     ]
     for summary in _summaries(folder):
@@ -155,9 +158,10 @@ def _provenance(summary: dict[str, Any]) -> str:
     machine = summary["environment"]["machine"]
     settings = ", ".join(f"{key} {value}" for key, value in summary["settings"].items())
     revisions = ", ".join(summary["revisions"]) or "unknown"
+    command = f"regrasp-opt bench {summary['name']}" + (" --quick" if summary["settings"].get("quick") else "")
     return (
-        f"Settings: {settings}. Code: {revisions}. Machine: {machine['processor']}, {machine['cores']} cores, "
-        f"accelerator: {machine['accelerator']}. Made {summary['made']}."
+        f"Command: `{command}`. Settings: {settings}. Code: {revisions}. Machine: {machine['processor']}, "
+        f"{machine['cores']} cores, accelerator: {machine['accelerator']}. Made {summary['made']}."
     )
 
 

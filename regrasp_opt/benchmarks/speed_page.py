@@ -72,8 +72,9 @@ def _chosen(rows: list[Row]) -> str:
         f"Few grasps ({few}): of random pairs for random subsets of the grasps, those for which the same planner had "
         "found a plan with two or three regrasps before; others are left out, so these rows say how long, not how "
         "often. Langevin: the first of the pairs with one regrasp, at the paper's setting (B = 1000, 20 iterations), "
-        "with the same exact checks. Each pair was planned once before it was timed: lattice and solvers, which the "
-        "first plan of a process builds, are not counted."
+        "with the same exact checks and random starts, to which most of the ratio is due: from the starts of ours it "
+        "is as fast ([](benchmarks.md#refiners-and-baselines)). Each pair was planned once before it was timed: "
+        "lattice and solvers, which the first plan of a process builds, are not counted."
     )
 
 

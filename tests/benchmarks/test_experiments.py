@@ -21,7 +21,6 @@ from regrasp_opt.benchmarks import (
     runner,
 )
 from regrasp_opt.benchmarks import session as session_module
-from regrasp_opt.benchmarks.generation import GENERATORS, OneStepTask, generate
 from regrasp_opt.benchmarks.oracle import Resolution
 from regrasp_opt.benchmarks.paper import CROSS_EFFECTOR, END_EFFECTORS, MULTI_STEP, ONE_STEP
 from regrasp_opt.benchmarks.report import Report, write_report
@@ -30,7 +29,8 @@ from regrasp_opt.benchmarks.session import Session
 from regrasp_opt.cli.app import run
 from regrasp_opt.cli.bench import EXPERIMENTS
 from regrasp_opt.cli.plots import write_bench_plots
-from regrasp_opt.connectivity import CostOptions
+from regrasp_opt.connectivity import CostOptions, block, exact_energy, sequence_cost
+from regrasp_opt.conventions import planar_transform
 from regrasp_opt.energy.model import GraspEnergy
 from regrasp_opt.planning.tasks import random_task
 
@@ -129,7 +129,6 @@ def test_the_conclusion_names_the_fastest_of_the_most_successful():
 def test_cross_effector(session, monkeypatch):
     tiny = cross_effector.Sizes(("w", "s1"), 1, 1, 500, Resolution(0.2, 4))
     monkeypatch.setattr(cross_effector, "QUICK", tiny)
-    monkeypatch.setattr(cross_effector, "PER_PLACEMENT", 50)
     monkeypatch.setattr(models, "HELD_OUT_POSES", 50)
     report = cross_effector.run_cross_effector(session)
     rows = check(report, session)
@@ -140,15 +139,26 @@ def test_cross_effector(session, monkeypatch):
     assert lines["own"] == (lines["w"][0], lines["s1"][1])
 
 
-def test_the_control_across_end_effectors_knows_only_ends_and_table(bottle_problem):
-    """Its poses are those that the rules leave, spread over the workspace instead of from one corner."""
-    energy = GraspEnergy(cross_effector.constant_energy(), bottle_problem.grasps)
+def test_the_control_across_end_effectors_knows_only_ends_and_table(bottle_problem, session):
+    """Its cost is that of Eq. 5, and depends on how many grasps of each end the table leaves."""
+    oracle = session.oracle("bottle", bottle_problem)
     ends = np.array([bottle_problem.pose(0, -0.25, 0.40, 0.5), bottle_problem.pose(1, 0.28, 0.38, 2.1)])
-    assert np.ptp(energy(ends)) == 0
-    task = OneStepTask.between(bottle_problem, energy, ends)
-    found = generate(task, GENERATORS["lattice"](), CostOptions(), 200, np.random.default_rng(0))
-    best = found.take(np.flatnonzero(found.cost < found.cost.min() + 1e-6))
-    assert len(best) >= 100 and (np.ptp(best.xi[:, 0, :2], axis=0) > [0.8, 0.4]).all()
+    feasible = np.array([bottle_problem.feasible_grasps(T) for T in ends])
+    rule = bottle_problem.table_rule(oracle.placements, oracle.xi)
+    control = GraspEnergy(cross_effector.constant_energy(), bottle_problem.grasps)
+    costs = []
+    for energy in (control, bottle_problem.energy):
+        [cost] = cross_effector.bridge_costs(bottle_problem, energy, oracle, feasible[None])
+        learned = block(energy(planar_transform(oracle.xi) @ bottle_problem.placement_poses[oracle.placements]), rule)
+        chains = np.array([[exact_energy(feasible[0]), e, exact_energy(feasible[1])] for e in learned])
+        np.testing.assert_allclose(cost, sequence_cost(chains, CostOptions()), rtol=1e-4)
+        costs.append(cost)
+    left = np.array([(~rule & end).sum(axis=1) for end in feasible], dtype=float)
+    both = (left > 0).all(axis=0)
+    Q = np.log(2) - np.log(left[:, both])
+    assert 0 < both.sum() < len(both)
+    np.testing.assert_allclose(costs[0][both], Q.sum(axis=0) + 0.5 * (Q[0] - Q[1]) ** 2, rtol=1e-5)
+    assert np.ptp(costs[1][both]) > 1 > np.ptp(costs[0][both])
 
 
 def test_ablations(session, monkeypatch):
