@@ -36,9 +36,10 @@ from regrasp_opt.threads import one_blas_thread
 
 TEXT = (
     "One local search by Ipopt from the best chain of lattice poses, set up in four ways: as the planner does it, as "
-    "`RegraspProblem.nlp`, as an `Opti` problem of one's own with `J_seq` in it, and as an `Opti` problem that has the "
-    "same cost as a plainly built expression. Same start, grasps, bounds and Ipopt options; building a solver is not "
-    "counted. Times are medians of calls in turn within one process; a ratio is that of two medians."
+    "`RegraspProblem.nlp`, as an `Opti` problem of one's own with `J_seq` in it, and as an `Opti` problem that has "
+    "the same cost as a plainly built expression, whose derivatives CasADi multiplies in its own loops. Same start, "
+    "grasps, bounds and Ipopt options; building a solver is not counted. Times are medians of calls in turn within "
+    "one process; a ratio is that of two medians."
 )
 PAIRS = {True: 1, False: 5}
 """Start-goal pairs an object, in quick and in full runs."""
