@@ -141,18 +141,18 @@ def _ways(
 
 
 def _opti(cost: Callable[[Any], Any], xi: FloatArray, bounds: FloatArray) -> Callable[[], tuple[int, float]]:
-    """Return a search that somebody might write: minimise `cost` of (3, N) within the workspace, from `xi` (N, 3)."""
+    """Return a search that somebody might write: minimise `cost` of (N, 3) within the workspace, from `xi` (N, 3)."""
     opti = ca.Opti()
-    variable = opti.variable(*xi.T.shape)
+    variable = opti.variable(*xi.shape)
     objective = cost(variable)
     opti.minimize(objective)
     for i in range(len(xi)):
-        opti.subject_to(opti.bounded(bounds[0], variable[:2, i], bounds[1]))
+        opti.subject_to(opti.bounded(bounds[0], variable[i, :2].T, bounds[1]))
     options = {"print_time": False, "detect_simple_bounds": True, "error_on_fail": False}
     opti.solver("ipopt", {**options, **plugin_options(ProgramOptions())})
 
     def solve() -> tuple[int, float]:
-        opti.set_initial(variable, xi.T)
+        opti.set_initial(variable, xi)
         found = opti.solve_limited()  # all ways stop at the same number of iterations
         return int(found.stats()["iter_count"]), float(found.value(objective))
 
@@ -170,7 +170,7 @@ def _plain_cost(problem: RegraspProblem, objective: SequenceObjective, starts: C
     known = [ca.DM(row[ids].astype(np.float64)) for row in rule]
 
     def cost(variable: Any) -> Any:
-        learned = [expressions.planar_expression(layer, variable[:, i]) for i, layer in enumerate(layers)]
+        learned = [expressions.planar_expression(layer, variable[i, :].T) for i, layer in enumerate(layers)]
         middle = [(1 - row) * energy + BLOCKED * row for row, energy in zip(known, learned, strict=True)]
         chain = [ca.DM(objective.start_energy[ids]), *middle, ca.DM(objective.goal_energy[ids])]
         scores = [pair_score(a, b, objective.options) for a, b in itertools.pairwise(chain)]
