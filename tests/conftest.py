@@ -43,3 +43,25 @@ def bottle_problem():
     from regrasp_opt import RegraspProblem
 
     return RegraspProblem.load("bottle", "nova2-w")
+
+
+@pytest.fixture(scope="session")
+def bottle_plan(bottle_problem):
+    """Return a plan with one regrasp."""
+    from regrasp_opt import solve_sequence
+    from regrasp_opt.planning.tasks import random_task
+
+    task = random_task(bottle_problem, np.random.default_rng(0), needs_regrasp=True)
+    plan = solve_sequence(bottle_problem, task.start, task.goal, seed=0)
+    assert plan.num_regrasps >= 1
+    return plan
+
+
+@pytest.fixture(scope="session")
+def motion(bottle_plan):
+    """Return the motion of that plan."""
+    from regrasp_opt.motion import plan_motion
+
+    found = plan_motion(bottle_plan)
+    assert found.solved, found.reason
+    return found

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import trimesh
+from oracles.files import DATA
 
 from regrasp_opt import load_object, load_workcell
-from regrasp_opt.benchmarks.recheck import DATA
 from regrasp_opt.errors import MeshError, WorkcellError
 from regrasp_opt.mesh_files import read_triangles
 from regrasp_opt.robots import load_robot

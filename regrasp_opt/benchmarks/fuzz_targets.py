@@ -17,8 +17,7 @@ import trimesh
 
 from regrasp_opt.benchmarks import fuzz_mutations as damage
 from regrasp_opt.benchmarks.fuzz_commands import command_lines, run_command_line
-from regrasp_opt.benchmarks.recheck import DATA
-from regrasp_opt.benchmarks.reliability_plans import write_obstacles
+from regrasp_opt.benchmarks.reliability_plans import DATA, write_obstacles
 from regrasp_opt.conventions import translation
 from regrasp_opt.end_effectors import load_end_effector
 from regrasp_opt.energy.storage import load_energy

@@ -15,7 +15,6 @@ from regrasp_opt.benchmarks import (
     joint,
     models,
     motion,
-    motion_recheck,
     one_step,
     subjects,
 )
@@ -56,8 +55,8 @@ def useless(bottle_problem, pair):
     return replace(bottle_problem, grasps=bottle_problem.grasps.subset(np.flatnonzero(~(some[0] | some[1]))[:1]))
 
 
-def test_motion_has_one_row_with_the_status_where_there_is_no_plan(apart, pair):
-    [row] = motion.motion_row(apart, pair, 0)
+def test_motion_has_one_row_with_the_status_where_there_is_no_plan(apart, pair, tmp_path):
+    [row] = motion.motion_row(apart, pair, 0, tmp_path)
     assert (row["status"], row["solved"], row["num_regrasps"]) == ("not_found", False, None) and "moves" not in row
 
 
@@ -65,21 +64,19 @@ def unmoved(plan):
     return MotionPlan(MotionStatus.NO_MOTION, "a wall", plan, (), *[np.ones(6)] * 2, 0.0)
 
 
-def test_motion_plans_again_where_the_first_plan_cannot_be_moved(bottle_problem, pair, monkeypatch):
+def test_motion_plans_again_where_the_first_plan_cannot_be_moved(bottle_problem, pair, monkeypatch, tmp_path):
     plan_motion, calls = motion.plan_motion, []
 
     def not_at_first(plan, options=None):
         calls.append(plan)
         return unmoved(plan) if len(calls) == 1 else plan_motion(plan, options)
 
-    monkeypatch.setattr(motion_recheck, "STEP", 5e-3)
-    monkeypatch.setattr(motion_recheck, "TURN", np.deg2rad(2.0))
     monkeypatch.setattr(motion, "plan_motion", not_at_first)
-    [row] = motion.motion_row(bottle_problem, pair, 0)
-    assert (row["first_moves"], row["reason"], row["moves"], row["collisions"]) == (False, "a wall", True, 0)
+    [row] = motion.motion_row(bottle_problem, pair, 0, tmp_path)
+    assert (row["first_moves"], row["reason"], row["moves"]) == (False, "a wall", True)
     monkeypatch.setattr(motion, "plan_motion", lambda plan, options: unmoved(plan))
     monkeypatch.setattr(motion, "plan_with_motion", lambda *_, **__: unmoved(calls[0]))
-    [row] = motion.motion_row(bottle_problem, pair, 0)
+    [row] = motion.motion_row(bottle_problem, pair, 0, tmp_path)
     assert row["solved"] and not row["moves"] and "duration" not in row
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import trimesh
 from command import assert_refused, in_process
+from oracles.files import DATA
 
-from regrasp_opt.benchmarks.recheck import DATA
 from regrasp_opt.cli import prepare as prepare_command
 from regrasp_opt.conventions import translation
 

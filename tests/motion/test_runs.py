@@ -5,9 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from verifying import motion_findings
 
-from regrasp_opt.benchmarks import motion_recheck
-from regrasp_opt.benchmarks.motion_recheck import recheck
 from regrasp_opt.motion import MotionOptions, Phase, plan_motion, planner
 from regrasp_opt.motion import runs as runs_module
 from regrasp_opt.motion.connections import Connector
@@ -112,10 +111,9 @@ def test_a_failure_of_ipopt_leaves_the_motion(bottle_plan, stopping, monkeypatch
     assert motion.solved and motion.duration == pytest.approx(stopping.duration, rel=1e-12)
 
 
-def test_a_jump_of_speed_is_noticed(motion, monkeypatch):
-    monkeypatch.setattr(motion_recheck, "STEP", 5e-3)
-    monkeypatch.setattr(motion_recheck, "TURN", np.deg2rad(2.0))
+def test_a_jump_of_speed_is_noticed(motion):
     number = next(n for n, s in enumerate(motion.segments) if s.phase is Phase.TRANSFER)
     slow = replace(motion.segments[number], trajectory=motion.segments[number].trajectory.slowed(1.5))
     segments = (*motion.segments[:number], slow, *motion.segments[number + 1 :])
-    assert any("speed jumps" in text for text in recheck(replace(motion, segments=segments)).problems)
+    found = motion_findings(replace(motion, segments=segments), step=5e-3, turn=np.deg2rad(2.0))
+    assert any("speed jumps" in text for text in found.problems)

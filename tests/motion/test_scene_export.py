@@ -7,9 +7,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
+from oracles.files import DATA
 
 from regrasp_opt import RegraspProblem, solve_sequence
-from regrasp_opt.benchmarks.recheck import DATA
 from regrasp_opt.motion.scene_export import save_scene
 from regrasp_opt.workcell import load_workcell
 

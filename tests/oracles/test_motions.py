@@ -1,13 +1,12 @@
-"""The second proof notices every kind of fault."""
+"""The verifier of motions notices every kind of fault."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
+from verifying import motion_findings, plan_verifier
 
-from regrasp_opt.benchmarks import motion_recheck
-from regrasp_opt.benchmarks.motion_recheck import recheck
 from regrasp_opt.motion import Phase
 from regrasp_opt.motion.lines import line
 from regrasp_opt.motion.timing import through
@@ -28,41 +27,68 @@ def first(motion, phase):
     return next(segment for segment in motion.segments if segment.phase is phase)
 
 
-@pytest.fixture(autouse=True)
-def _coarse(monkeypatch):
-    """Samples every 5 mm and 2 degrees: the faults below are larger."""
-    monkeypatch.setattr(motion_recheck, "STEP", 5e-3)
-    monkeypatch.setattr(motion_recheck, "TURN", np.deg2rad(2.0))
+COARSE = {"step": 5e-3, "turn": np.deg2rad(2.0)}
+"""The faults below are larger."""
 
 
-def problems(motion):
-    return " | ".join(recheck(motion).problems)
+@pytest.fixture(scope="module")
+def verifier(motion):
+    return plan_verifier(motion.plan.problem)
 
 
-def test_speeding_is_noticed(motion):
+@pytest.fixture(scope="module")
+def verify(verifier):
+    def find(motion):
+        return motion_findings(motion, verifier, **COARSE)
+
+    return find
+
+
+@pytest.fixture(scope="module")
+def problems(verify):
+    def find(motion):
+        return " | ".join(verify(motion).problems)
+
+    return find
+
+
+def test_a_good_motion_has_no_fault(motion, verifier):
+    found = motion_findings(motion, verifier)
+    assert found.problems == [] and found.collisions == 0
+    assert found.samples > 5000
+    assert 0.5 < found.velocity <= 1 + 1e-6 and 0.9 < found.acceleration <= 1 + 1e-6
+
+
+def test_a_jaw_that_does_not_close_is_noticed(motion, problems):
+    grasp = first(motion, Phase.GRASP)
+    assert "does not close" in problems(changed(motion, Phase.GRASP, jaw=(grasp.jaw[0], grasp.jaw[0]))[0])
+    assert "moves while it holds" in problems(changed(motion, Phase.LIFT, jaw=(grasp.jaw[1], grasp.jaw[1] + 0.01))[0])
+
+
+def test_speeding_is_noticed(motion, problems):
     fast = first(motion, Phase.TRANSFER).trajectory.slowed(0.98)
     text = problems(changed(motion, Phase.TRANSFER, trajectory=fast)[0])
     assert "of its limit" in text and text.count("transition 0, transfer") >= 1
 
 
-def test_a_jump_of_the_arm_and_of_the_jaw_is_noticed(motion):
+def test_a_jump_of_the_arm_and_of_the_jaw_is_noticed(motion, problems):
     path = first(motion, Phase.LIFT).trajectory
     shifted = Trajectory(path.times, path.positions + 1e-4, path.velocities)
     assert "the arm jumps" in problems(changed(motion, Phase.LIFT, trajectory=shifted)[0])
     assert "the jaw jumps" in problems(changed(motion, Phase.APPROACH, jaw=(0.05, 0.05))[0])
 
 
-def test_a_missing_phase_is_noticed(motion):
+def test_a_missing_phase_is_noticed(motion, problems):
     without = tuple(s for s in motion.segments if s.phase is not Phase.RELEASE)
     assert "has the phases" in problems(replace(motion, segments=without))
 
 
-def test_another_grasp_is_noticed(motion):
+def test_another_grasp_is_noticed(motion, problems):
     other = next(int(g) for g in motion.plan.transitions[0].grasp_ids if g != first(motion, Phase.GRASP).grasp_id)
     assert "misses the grasp" in problems(changed(motion, Phase.GRASP, grasp_id=other)[0])
 
 
-def test_a_way_through_the_table_is_noticed(motion):
+def test_a_way_through_the_table_is_noticed(motion, problems):
     """The lift is replaced by a dive of 30 mm and back."""
     lift = first(motion, Phase.LIFT).trajectory
     robot = motion.plan.problem.workcell.robot
@@ -74,37 +100,37 @@ def test_a_way_through_the_table_is_noticed(motion):
     assert "the object sinks into the table" in text and "meets table" in text
 
 
-def test_a_transfer_that_scrapes_over_the_table_is_noticed(motion):
+def test_a_transfer_that_scrapes_over_the_table_is_noticed(motion, verify):
     """Carrying the object from grasp to release without lifting it collides."""
     lift, lower = first(motion, Phase.LIFT).trajectory, first(motion, Phase.LOWER).trajectory
     ends = np.array([lift.positions[0], lower.positions[-1]])
     low = Trajectory(np.array([0.0, 20.0]), ends, np.zeros_like(ends))
-    found = recheck(changed(motion, Phase.TRANSFER, trajectory=low)[0])
+    found = verify(changed(motion, Phase.TRANSFER, trajectory=low)[0])
     assert found.collisions > 0 and "object meets table" in " ".join(found.problems)
 
 
-def test_an_approach_with_too_wide_a_hand_is_noticed(motion):
+def test_an_approach_with_too_wide_a_hand_is_noticed(motion, verify):
     """Turned by a quarter about its axis, the palm and fingers run into the object or what is beside it."""
     path = first(motion, Phase.APPROACH).trajectory
     turned = Trajectory(path.times, path.positions + np.pi / 2 * np.eye(6)[5], path.velocities)
-    found = recheck(changed(motion, Phase.APPROACH, trajectory=turned)[0])
-    assert found.collisions > 0 and "meets object" in " ".join(found.problems)
+    found = verify(changed(motion, Phase.APPROACH, trajectory=turned)[0])
+    assert found.collisions > 0 and "object meets" in " ".join(found.problems)
 
 
-def test_joints_beyond_their_limits_are_noticed(motion):
+def test_joints_beyond_their_limits_are_noticed(motion, problems):
     path = first(motion, Phase.RETURN).trajectory
     turned = Trajectory(path.times, path.positions + 4 * np.pi * np.eye(6)[5], path.velocities)
     assert "a joint leaves its limits" in problems(changed(motion, Phase.RETURN, trajectory=turned)[0])
 
 
-def test_an_arm_that_moves_while_the_jaw_closes_is_noticed(motion):
+def test_an_arm_that_moves_while_the_jaw_closes_is_noticed(motion, problems):
     path = first(motion, Phase.GRASP).trajectory
     drifting = path.positions + 1e-3 * np.linspace(0, 1, len(path.times))[:, None]
     moved = Trajectory(path.times, drifting, path.velocities)
     assert "transition 0, grasp: the arm does not rest" in problems(changed(motion, Phase.GRASP, trajectory=moved)[0])
 
 
-def test_a_grasp_that_both_poses_do_not_share_is_noticed(motion):
+def test_a_grasp_that_both_poses_do_not_share_is_noticed(motion, problems):
     shared = set(motion.plan.transitions[0].grasp_ids.tolist())
     other = next(g for g in range(len(motion.plan.problem.grasps)) if g not in shared)
     text = problems(changed(motion, Phase.LIFT, grasp_id=other)[0])
@@ -125,7 +151,7 @@ def test_obstacles_of_every_kind_are_met(motion):
     ):
         cell = replace(problem.workcell, obstacles=(obstacle,))
         plan = replace(motion.plan, problem=replace(problem, workcell=cell))
-        found = recheck(replace(motion, plan=plan, segments=(first(motion, Phase.TRANSFER),)))
+        found = motion_findings(replace(motion, plan=plan, segments=(first(motion, Phase.TRANSFER),)), **COARSE)
         assert found.collisions > 0 and f"meets {obstacle.name}" in " ".join(found.problems)
 
 
@@ -152,6 +178,7 @@ def test_rails_are_driven_along_their_axes(motion, tmp_path, q):
         times, there = grasp.trajectory.times, np.tile(q + np.array([along, 0.0]), (len(grasp.trajectory.times), 1))
         still = replace(grasp, trajectory=Trajectory(times, there, np.zeros_like(there)))
         limits = {"velocity_limits": np.ones(2), "acceleration_limits": np.ones(2)}
-        return "misses the grasp" in problems(replace(motion, plan=plan, segments=(still,), **limits))
+        found = motion_findings(replace(motion, plan=plan, segments=(still,), **limits), **COARSE)
+        return any("misses the grasp" in text for text in found.problems)
 
     assert not missed(0.0) and missed(1e-5)

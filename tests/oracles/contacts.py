@@ -1,0 +1,58 @@
+"""Whether a grasp holds: pads that meet the object where they close, or a cup that lies on it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+FRICTION = 0.5
+ANGLE = np.arctan(FRICTION) + np.deg2rad(1.0)
+"""Largest angle between the closing direction and the surface at a contact [rad]."""
+INSIDE, OUTSIDE = 2.1e-3, 1.1e-3
+"""How far beyond the pad's face a contact may lie, or before it [m]: soft pads close on bumps and hollows."""
+RAYS = 15
+"""Rays along each edge of a pad."""
+SEAL_DEPTH, SEAL_ANGLE = 0.5, np.deg2rad(55.0)
+"""How far from the cup's rim plane the surface may be, in radii, and how it may lean: the softest cup."""
+
+
+def hold_problem(tool, solid, T_object_tcp, width):
+    """Return why a grasp (4, 4) of an opening `width` [m] does not hold the mesh `solid`, or None."""
+    return (_jaw if tool.kind == "parallel" else _cup)(tool, solid, np.asarray(T_object_tcp, dtype=float), width)
+
+
+def _jaw(tool, solid, T, width):
+    if not 0 < width <= tool.max_opening:
+        return f"the jaw cannot be {width:.4f} m open"
+    pads = [corners for corners in tool.fingers if corners[0, 1] == min(c[0, 1] for c in tool.fingers)]
+    for sign, side in ((1.0, "+"), (-1.0, "-")):
+        if not any(_touches(solid, T, pad - [0, 0, tool.tcp_offset], sign, width) for pad in pads):
+            return f"the {side}y finger touches nothing that it could hold"
+    return None
+
+
+def _touches(solid, T, pad, sign, width):
+    """Return whether the surface meets a pad (low, high) in the TCP frame where the jaw is `width` [m] open."""
+    x, z = (np.append(np.linspace(pad[0, axis], pad[1, axis], RAYS), 0.0) for axis in (0, 2))
+    spots = np.stack(np.meshgrid(x, [0.0], z, indexing="ij"), axis=-1).reshape(-1, 3)
+    direction = sign * T[:3, 1]
+    _, y, triangle = solid.hits(spots @ T[:3, :3].T + T[:3, 3], direction)
+    facing = solid.normals[triangle] @ direction >= np.cos(ANGLE)
+    face = width / 2
+    return bool((facing & (y > face - INSIDE) & (y < face + OUTSIDE)).any())
+
+
+def _cup(tool, solid, T, _):
+    turns, radius = np.arange(24) * np.pi / 12, tool.cup_radius
+    rings = [[(0.0, 0.0)], *([(s * radius * np.cos(a), s * radius * np.sin(a)) for a in turns] for s in (0.5, 1.0))]
+    spots = np.array([(x, y, -radius) for ring in rings for x, y in ring])
+    ray, depth, triangle = solid.hits(spots @ T[:3, :3].T + T[:3, 3], T[:3, 2])
+    for n in range(len(spots)):
+        mine = np.flatnonzero((ray == n) & (depth > 0))
+        if len(mine) == 0:
+            return "the cup lies over nothing"
+        first = mine[np.argmin(depth[mine])]
+        if abs(depth[first] - radius) > SEAL_DEPTH * radius:
+            return f"the cup's rim is {depth[first] - radius:.4f} m off the surface"
+        if solid.normals[triangle[first]] @ T[:3, 2] > -np.cos(SEAL_ANGLE):
+            return "the surface leans away from the cup"
+    return None

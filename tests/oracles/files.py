@@ -1,0 +1,306 @@
+"""Readers of workcell, end-effector, mesh and URDF files that share nothing with the package's own."""
+
+from __future__ import annotations
+
+import sys
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+from scipy.spatial.transform import Rotation
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+DATA = Path(__file__).resolve().parents[2] / "regrasp_opt" / "data"
+TIPS = "tool0", "flange", "ee_link"
+MOVING = "revolute", "continuous", "prismatic"
+
+
+def frame(xyz=(0.0, 0.0, 0.0), rpy=(0.0, 0.0, 0.0)):
+    """Return the pose (4, 4) of a position [m] and URDF's roll, pitch, yaw [rad]."""
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_euler("xyz", rpy).as_matrix()
+    T[:3, 3] = xyz
+    return T
+
+
+def read_mesh(path, scale=1.0):
+    """Return vertices (V, 3) [m] and triangles (F, 3) of a mesh file; vertices of equal position are one."""
+    if str(path).lower().endswith(".stl") and (corners := _binary_stl(Path(path))) is not None:
+        vertices, faces = corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3)
+    else:
+        loaded = trimesh.load_mesh(path, process=False)  # of a DAE file, in metres
+        loaded = loaded.to_geometry() if isinstance(loaded, trimesh.Scene) else loaded
+        vertices, faces = np.asarray(loaded.vertices, dtype=np.float64), np.asarray(loaded.faces)
+    vertices, index = np.unique(vertices, axis=0, return_inverse=True)
+    faces = index.reshape(-1)[faces]
+    proper = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    return vertices * np.asarray(scale, dtype=np.float64), faces[proper]
+
+
+def _binary_stl(path):
+    content = path.read_bytes()
+    count = int.from_bytes(content[80:84], "little")
+    if len(content) < 84 + 50 * count or count == 0:
+        return None
+    record = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("extra", "<u2")])
+    return np.frombuffer(content, record, count, 84)["corners"].astype(np.float64)
+
+
+def read_object(reference):
+    """Return vertices (V, 3) [m] and triangles (F, 3) of the object that a plan file names."""
+    if reference["source"] == "built-in" or reference.get("repair"):
+        from regrasp_opt.objects import load_object  # no file holds these meshes
+
+        name = reference["name"] if reference["source"] == "built-in" else reference["source"]
+        body = load_object(name, scale=reference.get("scale", 1.0), repair=reference.get("repair", False))
+        return np.array(body.vertices), np.array(body.faces)
+    return read_mesh(reference["source"], reference.get("scale", 1.0))
+
+
+@dataclass
+class Shape:
+    """A body in the frame of what carries it: ``kind`` is box (full edges), cylinder (radius, length) or mesh."""
+
+    name: str
+    kind: str
+    T: np.ndarray
+    size: Any = None
+    vertices: Any = None
+    faces: Any = None
+
+
+@dataclass
+class Tool:
+    """An end-effector file; fingers are (low, high) corners of the +y finger at zero opening."""
+
+    kind: str
+    tcp_offset: float
+    pre_opening: float
+    cup_radius: float
+    max_opening: float
+    body: list[Shape]
+    fingers: list[np.ndarray]
+
+
+@dataclass
+class Cell:
+    """A workcell file, with what it names."""
+
+    path: Path
+    T_world_base: np.ndarray
+    robot: RobotFile
+    tool: Tool
+    table: dict[str, Any]
+    obstacles: list[Shape]
+    clearance: dict[str, float]
+    workspace: dict[str, Any]
+    ignored: set[frozenset[str]] = field(default_factory=set)
+
+
+def read_cell(reference):
+    """Return the cell that a plan file names by ``source``, ``name`` and ``end_effector``."""
+    built_in = reference["source"] == "built-in"
+    path = DATA / "workcells" / f"{reference['name']}.toml" if built_in else Path(reference["source"])
+    content = _toml(path)
+    section = content["robot"]
+    model, tip, ignored = section["model"], section.get("tip"), section.get("ignore_collisions", [])
+    if _bare(model):
+        defaults = _toml(DATA / "robots" / model / f"{model}.toml")
+        urdf, tip = DATA / "robots" / model / f"{model}.urdf", tip or defaults["tip"]
+        ignored = ignored + defaults["ignore_collisions"]
+    else:
+        urdf = path.parent / model
+    packages = [path.parent / folder for folder in section.get("package_dirs", [])]
+    tool = reference.get("end_effector") or content["end_effector"]["model"]
+    tool_path = DATA / "end_effectors" / f"{tool}.toml" if _bare(tool) else path.parent / tool
+    table = {"height": 0.0, "thickness": 0.05, **content["table"]}
+    return Cell(
+        path,
+        frame(section.get("position", (0, 0, 0)), section.get("rpy", (0, 0, 0))),
+        read_urdf(urdf, tip, packages),
+        read_tool(tool_path),
+        table,
+        [_obstacle(part, path.parent) for part in content.get("obstacles", [])],
+        {"arm": 0.005, "gripper": 0.003, "self_collision": 0.0, **content.get("clearance", {})},
+        content["workspace"],
+        {frozenset(pair) for pair in ignored},
+    )
+
+
+def _toml(path):
+    return tomllib.loads(Path(path).read_text("utf-8"))
+
+
+def _bare(name):
+    return "/" not in name and "\\" not in name and "." not in name
+
+
+def _obstacle(part, folder):
+    T = frame(part["position"], part.get("rpy", (0, 0, 0)))
+    if part["type"] == "box":
+        return Shape(part["name"], "box", T, part["size"])
+    if part["type"] == "cylinder":
+        return Shape(part["name"], "cylinder", T, (part["radius"], part["length"]))
+    vertices, faces = read_mesh(folder / part["file"], part.get("scale", 1.0))
+    return Shape(part["name"], "mesh", T, None, vertices, faces)
+
+
+def read_tool(path):
+    """Return the end-effector in the file `path`."""
+    content = _toml(path)
+    body = []
+    for part in content["body"]:
+        if "box" in part:
+            low, high = np.array([part["box"][axis] for axis in "xyz"], dtype=float).T
+            body.append(Shape(part["name"], "box", frame((low + high) / 2), high - low))
+        else:
+            low, high = part["cylinder"]["z"]
+            size = part["cylinder"]["radius"], high - low
+            body.append(Shape(part["name"], "cylinder", frame((0, 0, (low + high) / 2)), size))
+    fingers = [np.array([part["box"][axis] for axis in "xyz"], dtype=float).T for part in content.get("finger", [])]
+    parallel = content["kind"] == "parallel"
+    pre_opening = content.get("pre_opening", 0.005) if parallel else 0.0
+    lengths = content.get("cup_radius", 0.0), content.get("max_opening", 0.0)
+    return Tool(content["kind"], content["tcp_offset"], pre_opening, *lengths, body, fingers)
+
+
+@dataclass
+class RobotFile:
+    """A URDF that MuJoCo can read, with its meshes beside it.
+
+    Attributes
+    ----------
+    xml : str
+        Links, joints and collision bodies; meshes are called ``0.stl``, ``1.stl``, ...
+    meshes : list of (vertices, faces)
+        These meshes in metres, scaled.
+    joints : list of str
+        The moving joints from the base to the tip.
+    group : dict of str to int
+        For each link the number of the last of these joints that moves it; 0 for what never moves.
+    seat : str
+        The link in which the first of them turns.
+    """
+
+    xml: str
+    meshes: list[Any]
+    tip: str
+    joints: list[str]
+    group: dict[str, int]
+    seat: str
+    limits: np.ndarray
+    speeds: np.ndarray
+
+
+def read_urdf(path, tip=None, packages=()):
+    """Return the robot in the URDF file `path`, made ready for MuJoCo."""
+    root = ET.fromstring(Path(path).read_text("utf-8"))
+    kept = ET.Element("robot", name=root.get("name") or "robot")
+    options = {"strippath": "false", "fusestatic": "false", "discardvisual": "true", "balanceinertia": "true"}
+    options |= {"boundmass": "0.001", "boundinertia": "1e-6"}
+    ET.SubElement(ET.SubElement(kept, "mujoco"), "compiler", options)
+    meshes: list[Any] = []
+    for link in root.iterfind("link"):
+        copy = ET.SubElement(kept, "link", name=_link(link.get("name")))
+        for collision in link.iterfind("collision"):
+            collision.attrib.pop("name", None)
+            mesh = collision.find("geometry/mesh")
+            if mesh is not None:
+                scale = [float(v) for v in mesh.get("scale", "1 1 1").split()]
+                meshes.append(read_mesh(_mesh_file(mesh.attrib["filename"], Path(path), packages), scale))
+                mesh.attrib.clear()
+                mesh.set("filename", f"{len(meshes) - 1}.stl")
+            copy.append(collision)
+    for joint in root.iterfind("joint"):
+        for tag in ("parent", "child"):
+            joint.find(tag).set("link", _link(joint.find(tag).get("link")))
+        for tag in ("mimic", "dynamics", "safety_controller", "calibration"):
+            for element in joint.findall(tag):
+                joint.remove(element)
+        kept.append(joint)
+    carrier = {joint.find("child").get("link"): joint for joint in kept.iterfind("joint")}
+    tip = _link(tip or _default_tip(kept, carrier))
+    chain, here = [], tip
+    while here in carrier:
+        chain[:0] = [carrier[here]] if carrier[here].get("type") in MOVING else []
+        here = carrier[here].find("parent").get("link")
+    number = {joint.get("name"): n for n, joint in enumerate(chain, start=1)}
+
+    def group(link):
+        while link in carrier:
+            if carrier[link].get("name") in number:
+                return number[carrier[link].get("name")]
+            link = carrier[link].find("parent").get("link")
+        return 0
+
+    groups = {link.get("name"): group(link.get("name")) for link in kept.iterfind("link")}
+    return RobotFile(
+        ET.tostring(kept, encoding="unicode"),
+        meshes,
+        tip,
+        [joint.get("name") for joint in chain],
+        groups,
+        chain[0].find("parent").get("link"),
+        np.array([_limits(joint) for joint in chain]),
+        np.array([_number(joint, "velocity", np.pi) for joint in chain]),
+    )
+
+
+def _link(name):
+    return "the_world" if name == "world" else name  # MuJoCo keeps this name for itself
+
+
+def _number(joint, key, default):
+    limit = joint.find("limit")
+    return default if limit is None else float(limit.get(key, default))
+
+
+def _limits(joint):
+    if joint.get("type") == "continuous":
+        return -np.inf, np.inf
+    return _number(joint, "lower", 0.0), _number(joint, "upper", 0.0)
+
+
+def _default_tip(root, carrier):
+    links = [link.get("name") for link in root.iterfind("link")]
+    for name in TIPS:
+        if name in links:
+            return name
+
+    def children(link):
+        return [child for child, joint in carrier.items() if joint.find("parent").get("link") == link]
+
+    def moves(link):
+        return carrier[link].get("type") in MOVING or any(moves(child) for child in children(link))
+
+    here = next(link for link in links if link not in carrier)
+    while children(here):
+        onward = [child for child in children(here) if moves(child)] or children(here)
+        if len(onward) > 1:
+            break
+        here = onward[0]
+    return here
+
+
+def _mesh_file(name, urdf, packages):
+    if not name.startswith(("package://", "model://")):
+        return urdf.parent / name.removeprefix("file://")
+    package, _, rest = name.split("://", 1)[1].partition("/")
+    for folder in [*packages, *urdf.resolve().parents]:
+        for candidate in (folder / package / rest, folder / rest):
+            named = candidate == folder / package / rest or _package_name(folder) == package
+            if named and candidate.is_file():
+                return candidate
+    raise FileNotFoundError(f"{name} of {urdf}")
+
+
+def _package_name(folder):
+    manifest = folder / "package.xml"
+    return ET.parse(manifest).getroot().findtext("name") if manifest.is_file() else None

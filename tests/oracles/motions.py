@@ -1,0 +1,304 @@
+"""Every claim of a solved motion, verified from its file and the files that it names.
+
+Trajectories are evaluated by SciPy's Hermite splines, at times so dense that between two of them no corner of a body
+moves by more than `STEP`, none turns by more than `TURN`, and the jaw opens or closes by less than `STEP`. A pair of
+bodies is not measured again until they could have come near each other.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from .plans import LIMIT, TOLERANCE, PlanVerifier
+
+STEP = 1e-3
+"""Largest motion of any corner of a body between samples [m]."""
+TURN = np.deg2rad(0.2)
+"""Largest turn of any body between samples [rad]."""
+CONTINUITY = 1e-6
+"""Largest jump between segments [rad, m, rad/s]."""
+MISS = 2e-6
+"""Largest entry of the difference between two poses that should be one [m or 1]."""
+TABLE_CONTACT = 1.1e-3
+"""How far a held object may sink into the table where it is lifted or lowered [m]: as at rest, and 0.1 mm."""
+JAW_CONTACT = 2e-3
+"""Opening beyond the grasp's width from which on the fingers must be clear of the object [m]."""
+BETWEEN = 0.5
+"""Share of each clearance that is kept between the times at which it was tested (docs/motion.md)."""
+FAR = 0.02
+"""Distances of meshes that are not convex are measured up to this [m]."""
+
+PHASES = ["approach", "grasp", "lift", "transfer", "lower", "release", "retreat"]
+HOLDS = "lift", "transfer", "lower"
+STILL = "grasp", "release"
+AFTER = "release", "retreat", "return"
+
+
+@dataclass(frozen=True)
+class MotionFindings:
+    """What was found: problems, samples at which bodies were too near, and the largest shares of the limits."""
+
+    problems: list[str]
+    collisions: int
+    samples: int
+    velocity: float
+    acceleration: float
+
+
+class MotionVerifier:
+    """Verifies motions of one object in one cell; see `PlanVerifier` for what it is made from."""
+
+    def __init__(self, content, plans: PlanVerifier | None = None):
+        self.plans = plans or PlanVerifier(content["plan"])
+        self.world, self.cell = self.plans.world, self.plans.cell
+        self._pairs = self._required_pairs()
+
+    def verify(self, content, step=STEP, turn=TURN):
+        """Return what was found out about a solved motion; its plan is another matter (`PlanVerifier.problems`)."""
+        segments = content["segments"]
+        if content["status"] != "solved" or not segments:
+            return MotionFindings([f"the motion's status is {content['status']}"], 0, 0, 0.0, 0.0)
+        if content["joint_names"] != self.cell.robot.joints:
+            return MotionFindings(["the motion is one of other joints"], 0, 0, 0.0, 0.0)
+        curves = [_Curve(segment) for segment in segments]
+        problems = self._sequence(content, segments, curves)
+        collisions = samples = 0
+        velocity = acceleration = 0.0
+        for segment, curve in zip(segments, curves, strict=True):
+            named, shares = self._limits(content, curve)
+            grasp = content["plan"]["grasps"][segment["grasp_id"]]
+            found, hit, count = self._collisions(content, segment, curve, grasp, step, turn)
+            named += found
+            velocity, acceleration = max(velocity, shares[0]), max(acceleration, shares[1])
+            collisions, samples = collisions + hit, samples + count
+            problems += [f"transition {segment['transition']}, {segment['phase']}: {text}" for text in named]
+        return MotionFindings(problems, collisions, samples, velocity, acceleration)
+
+    def _sequence(self, content, segments, curves):
+        """Return what is wrong with the order of phases, and with what must be equal at their ends."""
+        plan, wrong = content["plan"], []
+        for i, transition in enumerate(plan["transitions"]):
+            mine = [s for s in segments if s["transition"] == i]
+            if [s["phase"] for s in mine if s["phase"] not in ("reach", "return")] != PHASES:
+                wrong.append(f"transition {i} has the phases {[s['phase'] for s in mine]}")
+            if len({s["grasp_id"] for s in mine}) > 1:
+                wrong.append(f"transition {i} changes the grasp on its way")
+            if any(s["grasp_id"] not in transition["grasp_ids"] for s in mine):
+                wrong.append(f"transition {i}: the grasp is not shared by the two poses")
+        for (s, a), (t, b) in pairwise(zip(segments, curves, strict=True)):
+            name = f"transition {t['transition']}, {t['phase']}"
+            for what, end, start in (
+                ("arm jumps", a.positions[-1], b.positions[0]),
+                ("arm's speed jumps", a.velocities[-1], b.velocities[0]),
+                ("jaw jumps", s["jaw"][1], t["jaw"][0]),
+            ):
+                if np.abs(np.asarray(end) - start).max() > CONTINUITY:
+                    wrong.append(f"{name}: the {what} at the beginning")
+            if t["transition"] not in (s["transition"], s["transition"] + 1):
+                wrong.append(f"{name}: it follows transition {s['transition']}")
+        return wrong + self._stillness(segments, curves) + self._ends(plan, segments, curves)
+
+    def _stillness(self, segments, curves):
+        still = [(0, slice(0, 1)), (-1, slice(-1, None))]
+        still += [(n, slice(None)) for n, s in enumerate(segments) if s["phase"] in STILL]
+        wrong = []
+        for n, rows in still:
+            moves = np.ptp(curves[n].positions[rows], axis=0).max() > CONTINUITY
+            if moves or np.abs(curves[n].velocities[rows]).max() > CONTINUITY:
+                name = f"transition {segments[n]['transition']}, {segments[n]['phase']}"
+                wrong.append(f"{name}: the arm does not rest")
+        return wrong
+
+    def _ends(self, plan, segments, curves):
+        """Return where the hand is not at the grasp, or the jaw not at its width, when it closes or opens."""
+        wrong, poses = [], np.array(plan["poses"])
+        for s, curve in zip(segments, curves, strict=True):
+            name = f"transition {s['transition']}, {s['phase']}"
+            grasp = plan["grasps"][s["grasp_id"]]
+            closed = grasp["width"] if self.cell.tool.kind == "parallel" else 0.0
+            if s["phase"] in STILL:
+                row, pose = (0, s["transition"]) if s["phase"] == "grasp" else (-1, s["transition"] + 1)
+                tcp = self._tcp(curve.positions[row])
+                miss = np.abs(tcp - poses[pose] @ np.array(grasp["T_object_tcp"])).max()
+                if miss > MISS:
+                    wrong.append(f"{name}: the hand misses the grasp by {miss:.2g}")
+                if abs(s["jaw"][1 if s["phase"] == "grasp" else 0] - closed) > CONTINUITY:
+                    wrong.append(f"{name}: the jaw does not close to the grasp's width")
+            if s["phase"] in HOLDS and np.abs(np.array(s["jaw"]) - closed).max() > CONTINUITY:
+                wrong.append(f"{name}: the jaw moves while it holds")
+            if self.cell.tool.kind == "parallel" and not 0 <= min(s["jaw"]) <= max(s["jaw"]) <= self._most():
+                wrong.append(f"{name}: the jaw opens too far")
+        return wrong
+
+    def _most(self):
+        return self.cell.tool.max_opening + CONTINUITY
+
+    def _tcp(self, q):
+        T = self.world.place(q, None, 0.0, 0.0)
+        T[:3, 3] += self.cell.tool.tcp_offset * T[:3, 2]
+        return T
+
+    def _limits(self, content, curve):
+        robot, wrong, shares = self.cell.robot, [], []
+        t = curve.dense()
+        q, v, a = curve.at(t), curve.at(t, 1), curve.at(t, 2)
+        if (q < robot.limits[:, 0] - LIMIT).any() or (q > robot.limits[:, 1] + LIMIT).any():
+            wrong.append("a joint leaves its limits")
+        speeds = np.minimum(content["velocity_limits"], robot.speeds)
+        for name, values, limit in (("velocity", v, speeds), ("acceleration", a, content["acceleration_limits"])):
+            shares.append(float((np.abs(values) / limit).max()))
+            if shares[-1] > 1 + 1e-6:
+                wrong.append(f"the {name} is {shares[-1]:.4f} of its limit")
+        return wrong, shares
+
+    # ---- collisions
+
+    def _required_pairs(self):
+        """Return (body, body, least distance) for all that is ever tested."""
+        return [(a, b, required) for a, b, required, _ in self.plans.pairs]
+
+    def _collisions(self, content, segment, curve, grasp, step, turn):
+        """Return what comes too near, at how many samples, and how many samples there were."""
+        world, width = self.world, grasp["width"]
+        t, poses = self._sampled(content, segment, curve, grasp, step, turn)
+        xpos, xmat, tips = poses
+        opening = curve.jaw(t)
+        moved = np.concatenate([[0.0], np.cumsum(self._moves(xpos, xmat))])
+        hit, named = np.zeros(len(t), dtype=bool), {}
+        clear = min(JAW_CONTACT, 2 * self.cell.tool.pre_opening)
+        resting = segment["phase"] in ("lift", "lower")
+        for a, b, required in self._chosen(segment):
+            closing = {world.bodies[a].part, world.bodies[b].part} == {"object", "open"}
+            i = 0
+            while i < len(t):
+                if closing and opening[i] < width + clear - 1e-9:
+                    i += 1
+                    continue
+                apart = self._distance(a, b, xpos[i], xmat[i], required + FAR) - BETWEEN * required
+                if apart < -TOLERANCE:
+                    hit[i] = True
+                    named[f"{world.bodies[a].name} meets {world.bodies[b].name}"] = None
+                    i += 1
+                else:
+                    i = max(i + 1, int(np.searchsorted(moved, moved[i] + (apart + TOLERANCE) / 2)))
+        if resting:
+            hit |= self._in_table(tips, grasp, named)
+        return sorted(named), int(hit.sum()), len(t)
+
+    def _distance(self, a, b, xpos, xmat, most):
+        world = self.world
+        for n in (a, b):
+            geom = world.bodies[n].geom
+            world.data.geom_xpos[geom], world.data.geom_xmat[geom] = xpos[n], xmat[n]
+        return world.distance(a, b, most)
+
+    def _chosen(self, segment):
+        """Return the pairs (a, b, least distance) that matter in a phase."""
+        bodies, last = self.world.bodies, self.cell.robot.group[self.cell.robot.tip]
+        held, phase = segment["phase"] in HOLDS, segment["phase"]
+        for a, b, required in self._pairs:
+            kinds = {bodies[a].part, bodies[b].part}
+            if "object" in kinds:
+                other = bodies[b] if bodies[a].part == "object" else bodies[a]
+                hand = other.part in ("palm", "open")
+                if hand and (held or (phase in STILL and other.part == "palm")):
+                    continue
+                if not held and not hand and not (other.part == "arm" and other.group > 0):
+                    continue  # both stand still, as in the plan
+                if held and other.part == "arm" and other.group == last:
+                    continue  # moves with it
+            yield a, b, required
+        if held and phase == "transfer":
+            yield self.world.index["object"], self.world.index["table"], self.cell.clearance["gripper"]
+
+    def _sampled(self, content, segment, curve, grasp, step, turn):
+        """Return dense times, and poses of all bodies and the TCP there."""
+        t = np.unique(np.concatenate([curve.dense(), np.linspace(0, curve.duration, curve.jaw_steps(step))]))
+        while True:
+            poses = self._poses(content, segment, curve, grasp, t)
+            move = self._moves(*poses[:2]) / step
+            parts = np.maximum(1, np.ceil(np.maximum(move, self._turns(poses[1]) / turn) - 1e-6)).astype(int)
+            if (parts == 1).all():
+                return t, poses
+            pieces = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(t[:-1], t[1:], parts, strict=True)]
+            t = np.concatenate([*pieces, t[-1:]])
+
+    def _poses(self, content, segment, curve, grasp, t):
+        """Return positions (B, bodies, 3), rotations (B, bodies, 9) and TCP poses (B, 4, 4) at times `t` (B,)."""
+        world, geoms = self.world, self.world.geoms
+        held, plan_poses = segment["phase"] in HOLDS, content["plan"]["poses"]
+        T_tcp_object = np.linalg.inv(grasp["T_object_tcp"])
+        there = np.array(plan_poses[segment["transition"] + (segment["phase"] in AFTER)])
+        count = len(t)
+        xpos, xmat, tips = np.empty((count, len(geoms), 3)), np.empty((count, len(geoms), 9)), np.empty((count, 4, 4))
+        for n, (q, opening) in enumerate(zip(curve.at(t), curve.jaw(t), strict=True)):
+            T = world.place(q, None, opening, opening)
+            T[:3, 3] += self.cell.tool.tcp_offset * T[:3, 2]
+            world.put("object", T @ T_tcp_object if held else there)
+            xpos[n], xmat[n], tips[n] = world.data.geom_xpos[geoms], world.data.geom_xmat[geoms], T
+        return xpos, xmat, tips
+
+    def _moves(self, xpos, xmat):
+        """Return how far any corner of a body moves at most in each interval [m]."""
+        model, geoms = self.world.model, self.world.geoms
+        signs = np.array(np.meshgrid(*[(-1, 1)] * 3)).reshape(3, -1).T
+        corners = model.geom_aabb[geoms, None, :3] + signs * model.geom_aabb[geoms, None, 3:]
+        far = np.zeros(len(xpos) - 1)
+        for first in range(0, len(far), 500):
+            rows = slice(first, first + 501)
+            R = xmat[rows].reshape(*xmat[rows].shape[:2], 3, 3)
+            points = xpos[rows][:, :, None] + np.einsum("bgij,gcj->bgci", R, corners)
+            step = np.linalg.norm(np.diff(points, axis=0), axis=-1).max(axis=(1, 2))
+            far[first : first + len(step)] = step
+        return far
+
+    def _turns(self, xmat):
+        R = xmat.reshape(*xmat.shape[:2], 3, 3)
+        cosine = (np.einsum("bgij,bgij->bg", R[1:], R[:-1]) - 1) / 2
+        return np.arccos(np.clip(cosine.min(axis=1), -1, 1))
+
+    def _in_table(self, tips, grasp, named):
+        """Return where (B,) the held object sinks into the table while it is lifted or lowered."""
+        T = tips @ np.linalg.inv(grasp["T_object_tcp"])
+        lowest = (T[:, 2, :3] @ self.plans.solid.vertices.T).min(axis=1) + T[:, 2, 3]
+        deep = lowest < self.cell.table["height"] - TABLE_CONTACT
+        if deep.any():
+            named["the object sinks into the table"] = None
+        return deep
+
+
+class _Curve:
+    """The joints and the jaw of a segment over time."""
+
+    def __init__(self, segment):
+        self.times, self.positions, self.velocities = (
+            np.array(segment[key], dtype=float) for key in ("times", "positions", "velocities")
+        )
+        self._spline = CubicHermiteSpline(self.times, self.positions, self.velocities)
+        self._jaw = segment["jaw"]
+        self.duration = float(self.times[-1])
+
+    def at(self, t, derivative=0):
+        return self._spline(t, derivative)
+
+    def dense(self):
+        return np.unique(np.concatenate([np.linspace(a, b, 11) for a, b in pairwise(self.times)]))
+
+    def jaw(self, t):
+        return np.interp(t, [0.0, self.duration], self._jaw)
+
+    def jaw_steps(self, step):
+        return max(2, int(np.ceil(abs(self._jaw[1] - self._jaw[0]) / step)) + 1)
+
+
+def verify_motion(path):
+    """Return what is wrong with the motion in the file `path` and with its plan, one sentence each."""
+    content = json.loads(Path(path).read_text("utf-8"))
+    plans = PlanVerifier(content["plan"])
+    return plans.problems(content["plan"]) + MotionVerifier(content, plans).verify(content).problems
