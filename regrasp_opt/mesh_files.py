@@ -17,10 +17,11 @@ import numpy as np
 import trimesh
 from trimesh.exchange.stl import HeaderError
 
+from regrasp_opt.collada import read_collada
 from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.errors import MeshError
 
-MESH_SUFFIXES = (".stl", ".obj", ".ply", ".glb")
+MESH_SUFFIXES = (".stl", ".obj", ".ply", ".glb", ".dae")
 """The file formats that are read."""
 
 FARTHEST = 1e9
@@ -28,7 +29,7 @@ FARTHEST = 1e9
 
 UNREADABLE = (
     OSError, ValueError, LookupError, TypeError, AttributeError, AssertionError, RuntimeError, NameError, EOFError,
-    ImportError, MemoryError, ArithmeticError, struct.error, HeaderError,
+    ImportError, SyntaxError, MemoryError, ArithmeticError, struct.error, HeaderError,
 )  # fmt: skip
 """What the readers of the several formats raise on a broken file."""
 
@@ -48,9 +49,12 @@ def read_triangles(path: Path) -> tuple[FloatArray, IntArray]:
         raise MeshError(f"mesh file {path} does not exist; give the path of an STL, OBJ, PLY or GLB file")
     try:
         with quiet_trimesh():
-            loaded = trimesh.load_mesh(path, process=False)
-            vertices = np.array(getattr(loaded, "vertices", np.zeros((0, 3))), dtype=np.float64)
-            faces = np.array(getattr(loaded, "faces", np.zeros((0, 3))), dtype=np.int64)
+            if path.suffix.lower() == ".dae":
+                vertices, faces = read_collada(path)
+            else:
+                loaded = trimesh.load_mesh(path, process=False)
+                vertices = np.array(getattr(loaded, "vertices", np.zeros((0, 3))), dtype=np.float64)
+                faces = np.array(getattr(loaded, "faces", np.zeros((0, 3))), dtype=np.int64)
     except UNREADABLE as error:
         raise MeshError(f"{path} is corrupt, truncated or no mesh file; export it again") from error
     if len(faces) == 0:

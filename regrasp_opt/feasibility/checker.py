@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import coal
 import numpy as np
+import pinocchio as pin
 
-from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
+from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, invert
 from regrasp_opt.errors import GraspError
 from regrasp_opt.feasibility.geometry import mesh_geometry, static_bodies
 from regrasp_opt.feasibility.scene import CollisionScene
@@ -21,6 +22,7 @@ from regrasp_opt.feasibility.standing import standing_problem
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.shapes import surface_points
+from regrasp_opt.solids import Solid, nested
 from regrasp_opt.workcell import Workcell
 
 PAIRS_AT_ONCE = 20_000
@@ -59,8 +61,16 @@ class FeasibilityChecker:
         self._vertices = model.vertices
         self.scene = CollisionScene(model, workcell, grasps)
         effector = workcell.end_effector
-        self._object = mesh_geometry(model.vertices, model.faces)
-        self._static = static_bodies(workcell)
+        self._object = Solid(mesh_geometry(model.vertices, model.faces))
+        self._static = [
+            (
+                item,
+                Solid(item.collisionGeometry()),
+                pin.SE3(item.getRotation(), item.getTranslation()).homogeneous,
+                name,
+            )
+            for item, name in static_bodies(workcell)
+        ]
         self._T_object_flange = grasps.T_object_tcp @ effector.T_tcp_flange
         self._corners = np.stack(
             [
@@ -151,12 +161,14 @@ class FeasibilityChecker:
         return problem if near is None else f"is too near to {near}"
 
     def object_overlaps(self, T: FloatArray, clearance: float) -> str | None:
-        """Return what obstacle or base is nearer than `clearance` [m] to the object at `T` (4, 4), or None."""
-        body = coal.CollisionObject(self._object, coal.Transform3s(T[:3, :3], T[:3, 3]))
+        """Return what obstacle or base is around the object at `T` (4, 4) or nearer than `clearance` [m], or None."""
+        body = coal.CollisionObject(self._object.geometry, coal.Transform3s(T[:3, :3], T[:3, 3]))
         request = coal.CollisionRequest()
         request.security_margin = clearance
-        for item, name in self._static:
-            if coal.collide(body, item, request, coal.CollisionResult()):
+        for item, solid, T_world_item, name in self._static:
+            if coal.collide(body, item, request, coal.CollisionResult()) or (
+                body.getAABB().overlap(item.getAABB()) and nested(self._object, solid, invert(T) @ T_world_item)
+            ):
                 return name
         return None
 

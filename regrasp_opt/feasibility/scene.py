@@ -18,6 +18,7 @@ from regrasp_opt.feasibility.geometry import mesh_geometry, shape_geometry
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.robots.queries import settle_queries
+from regrasp_opt.solids import Containment, overlap
 from regrasp_opt.workcell import Workcell
 
 _WORLD = 0
@@ -69,6 +70,7 @@ class CollisionScene:
         settle_queries(self.geometry_data, self.margins)
         # bounding boxes first, each grown by the margins: exact, and three to four times faster than all pairs
         self._boxes_first = pin.BroadPhaseManager_NaiveCollisionManager(self.model, self.geometry, self.geometry_data)
+        self._inside = Containment(self.model, self.data, self.geometry, [(i, j) for i, j, _ in pairs])
         self._placed = b""
         surroundings = {self.table, self.object, *self.obstacles}
         self._measured = np.array([(i, j, k) for k, (i, j, _) in enumerate(pairs) if j in surroundings])
@@ -99,15 +101,18 @@ class CollisionScene:
             return
         self._placed = key
         self.geometry.geometryObjects[self.object].placement = self._T_base_world * pin.SE3(T)
+        self._inside.moved(self.object)
 
     def set_grasp(self, grasp_id: int) -> None:
         """Open the fingers as grasp `grasp_id` needs them."""
         for index, pose in zip(self.fingers, self._finger_poses[grasp_id], strict=True):
             self.geometry.geometryObjects[index].placement = pose
+            self._inside.moved(index)
 
     def collides(self, q: FloatArray) -> bool:
-        """Return whether any pair is nearer than its clearance at configuration `q`."""
-        return bool(pin.computeCollisions(self.model, self.data, self._boxes_first, q, True))
+        """Return whether any pair is nearer than its clearance at configuration `q`, or one body inside the other."""
+        touching = pin.computeCollisions(self.model, self.data, self._boxes_first, q, True)
+        return bool(touching or self._inside.found(q))
 
     def collisions(self, q: FloatArray) -> list[tuple[int, int]]:
         """Return all pairs of bodies, by index, that are nearer than their clearance at configuration `q`."""
@@ -128,8 +133,8 @@ class CollisionScene:
     def clearance(self, q: FloatArray) -> float:
         """Return the least distance at `q` between arm or gripper and table, obstacles or (arm only) object [m].
 
-        Negative where bodies overlap. Self-collision is tested, but not part of it: neighbouring links are always
-        near each other.
+        Negative where bodies overlap or one is in the other. Self-collision is tested, but not part of it: neighbouring
+        links are always near each other.
         """
         pin.forwardKinematics(self.model, self.data, q)
         pin.updateGeometryPlacements(self.model, self.data, self.geometry, self.geometry_data)
@@ -137,11 +142,16 @@ class CollisionScene:
         centers = np.array([poses[i].act(c) for i, c in enumerate(self._centers)])
         first, second = self._measured[:, 0], self._measured[:, 1]
         gaps = np.linalg.norm(centers[first] - centers[second], axis=1) - self._radii[first] - self._radii[second]
-        least = np.inf
+        solids = self._inside.solids
+        inside = set(self._inside.found(q))
+        depths = [overlap(solids[i], solids[j]) for i, j, index in self._measured.tolist() if index in inside]
+        least = min(depths, default=np.inf)
         for k in np.argsort(gaps):
             if gaps[k] >= least:  # spheres around the bodies are farther apart than the nearest pair so far
                 break
-            index = int(self._measured[k, 2])
+            i, j, index = self._measured[k].tolist()
             distance = pin.computeDistance(self.geometry, self.geometry_data, index).min_distance
+            if distance <= 0 and solids[i].is_mesh and solids[j].is_mesh:  # Coal says 0 however deep they overlap
+                distance = overlap(solids[i], solids[j])
             least = min(least, distance)
         return float(least)

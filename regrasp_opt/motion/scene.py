@@ -20,6 +20,7 @@ from regrasp_opt.conventions import FloatArray, invert
 from regrasp_opt.feasibility.geometry import mesh_geometry, shape_geometry
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.robots.queries import settle_queries
+from regrasp_opt.solids import Containment
 
 LEVELS = 0.032 / 2.0 ** np.arange(10)
 """Motion between two samples [m] that each level of a setting allows for: 32 mm down to 0.06 mm."""
@@ -62,8 +63,8 @@ class MotionScene:
         self._data = self._model.createData()
         hull = ConvexHull(problem.object.vertices)
         self._corners = problem.object.vertices[hull.vertices]
-        self._free = _Bodies(problem, held=False)
-        self._held = _Bodies(problem, held=True)
+        self._free = _Bodies(problem, self._data, held=False)
+        self._held = _Bodies(problem, self._data, held=True)
 
     def beside(self, T_world_object: FloatArray, openings: tuple[float, float]) -> Setting:
         """Return the setting with the object resting at a pose (4, 4) and the jaw at any of `openings` (low, high) [m].
@@ -116,7 +117,7 @@ class MotionScene:
 
         def passes(q: FloatArray, level: int) -> bool:
             bodies.arrange(arrangement)
-            return not pin.computeCollisions(model, data, checks[level], q, True)
+            return not (pin.computeCollisions(model, data, checks[level], q, True) or bodies.inside.found(q))
 
         return passes
 
@@ -132,7 +133,7 @@ class _Arrangement:
 class _Bodies:
     """A geometry model of everything that can collide, with one set of required distances for each level."""
 
-    def __init__(self, problem: RegraspProblem, *, held: bool) -> None:
+    def __init__(self, problem: RegraspProblem, data: Any, *, held: bool) -> None:
         cell, robot, effector = problem.workcell, problem.workcell.robot, problem.workcell.end_effector
         self._robot, self._effector = robot, effector
         self._data: list[pin.GeometryData] = []  # a manager does not keep its data alive
@@ -168,6 +169,7 @@ class _Bodies:
             pairs += [(i, self._object, 0.0) for i in gripper]
         for i, j, _ in pairs:
             self.geometry.addCollisionPair(pin.CollisionPair(i, j))
+        self.inside = Containment(robot.model, data, self.geometry, [(i, j) for i, j, _ in pairs])
         self.required = np.array([distance for _, _, distance in pairs])
         self.checks = {"all": [self._check(size) for size in LEVELS]}
         contact = ("no table", 1) if held else ("touching", len(gripper))  # the last pairs of the list
@@ -206,6 +208,8 @@ class _Bodies:
             box.halfSide = shape.size / 2
             box.computeLocalAABB()
             items[index].placement = pin.SE3(self.T_joint_flange @ shape.pose)
+        for index in (self._object, *self._fingers):
+            self.inside.moved(index)
 
     def reach_of(self, arrangement: _Arrangement) -> FloatArray:
         """Return how far any point beyond a joint can be from its axis (dof,) [m]."""

@@ -10,9 +10,8 @@ problem's. A plan's cost is a record and is not recomputed.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import coal
 import numpy as np
 import pinocchio as pin
 
@@ -31,13 +30,14 @@ from regrasp_opt.feasibility.geometry import mesh_geometry, shape_geometry
 from regrasp_opt.grasps import hold_failures
 from regrasp_opt.planning.plan_data import PlanData, Transition
 from regrasp_opt.planning.problem import RegraspProblem
+from regrasp_opt.solids import Solid, distance
 
 
 class Body(NamedTuple):
-    """A Coal geometry at a world pose (4, 4)."""
+    """A collision body at a world pose (4, 4)."""
 
     name: str
-    geometry: Any
+    solid: Solid
     T_world: FloatArray
 
 
@@ -229,18 +229,19 @@ class _Scene:
         cell = problem.workcell
         self.problem = problem
         self.data = cell.robot.model.createData()
-        self.object = mesh_geometry(problem.object.vertices, problem.object.faces)
+        self.object = Solid(mesh_geometry(problem.object.vertices, problem.object.faces))
+        self.arm = [Solid(item.geometry) for item in cell.robot.collision.geometryObjects]
         shapes = [cell.table.shape, *cell.obstacles]
-        self.fixed = [Body(s.name, shape_geometry(s), s.pose) for s in shapes]
+        self.fixed = [Body(s.name, Solid(shape_geometry(s)), s.pose) for s in shapes]
 
     def arm_at(self, q: FloatArray) -> tuple[list[Body], FloatArray]:
         """Return the arm's bodies and the TCP (4, 4) in the world at configuration `q` (dof,), by Pinocchio."""
         cell, robot, data = self.problem.workcell, self.problem.workcell.robot, self.data
         pin.framesForwardKinematics(robot.model, data, q)
         bodies = []
-        for item in robot.collision.geometryObjects:
+        for item, solid in zip(robot.collision.geometryObjects, self.arm, strict=True):
             T = cell.T_world_base @ (data.oMi[item.parentJoint] * item.placement).homogeneous
-            bodies.append(Body(item.name, item.geometry, T))
+            bodies.append(Body(item.name, solid, T))
         T_base_tip = data.oMf[robot.model.getFrameId(robot.tip_frame)].homogeneous
         return bodies, cell.T_world_base @ T_base_tip @ cell.end_effector.T_flange_tcp
 
@@ -264,7 +265,7 @@ class _Scene:
         pairs += [(a, b, clearance.self_collision) for a in gripper for b in before_tip]
         pairs += [(arm[i], arm[j], clearance.self_collision) for i, j in cell.robot.self_collision_pairs()]
         pairs += [(held, b, clearance.gripper) for b in self.fixed[1:]]
-        distances = np.array([_distance(a, b) for a, b, _ in pairs])
+        distances = np.array([distance(a.solid, b.solid, a.T_world, b.T_world) for a, b, _ in pairs])
         margins = distances - np.array([required for *_, required in pairs])
         worst = int(np.argmin(margins))
         nearest = pairs[worst][0].name, pairs[worst][1].name
@@ -279,11 +280,6 @@ class _Scene:
             effector.finger_boxes(width + 2 * effector.pre_opening),
         )
         return tuple(
-            [Body(f"gripper {s.name}", shape_geometry(s), T_world_flange @ s.pose) for s in group] for group in groups
+            [Body(f"gripper {s.name}", Solid(shape_geometry(s)), T_world_flange @ s.pose) for s in group]
+            for group in groups
         )
-
-
-def _distance(a: Body, b: Body) -> float:
-    transforms = [coal.Transform3s(body.T_world[:3, :3], body.T_world[:3, 3]) for body in (a, b)]
-    request, result = coal.DistanceRequest(), coal.DistanceResult()
-    return float(coal.distance(a.geometry, transforms[0], b.geometry, transforms[1], request, result))

@@ -1,0 +1,267 @@
+"""Bodies inside closed meshes, which touch no surface and still collide.
+
+To Coal a mesh is its surface, while boxes, cylinders, spheres and capsules are solid. A body that touches no surface of
+a closed mesh is inside it with all of each connected part or with none of it, so one point of each part decides. Inside
+is where the winding number (sum of solid angles, van Oosterom and Strackee, 1983) is at least 1: in any of several
+shells, but not in a cavity, whose shell is wound against the one around it. It does not matter how a file winds them.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import coal
+import numpy as np
+import pinocchio as pin
+import trimesh
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from regrasp_opt.conventions import FloatArray, IntArray, invert
+
+SAME_VERTEX = 1e-7
+"""Vertices nearer to each other than this share of a mesh's extent are one where its surface is followed."""
+
+PROBE = 0.002
+"""Radius of the bodies that look for a way out of a mesh [m]; Coal may miss an overlap of much less."""
+
+_SAMPLES = 32
+"""Vertices of a shell that are looked at to see whether it lies in another."""
+
+
+class Shells(NamedTuple):
+    """What is known of a mesh as a solid.
+
+    Attributes
+    ----------
+    points : (P, 3) array
+        A vertex of each connected part.
+    triangles : (F, 3, 3) array
+        Corners of the closed parts, counter-clockwise as seen from outside the material.
+    open_parts : int
+        How many parts have an edge, and therefore no inside.
+    """
+
+    points: FloatArray
+    triangles: FloatArray
+    open_parts: int
+
+
+def find_shells(vertices: FloatArray, faces: IntArray) -> Shells:
+    """Return the parts of the mesh with `vertices` (V, 3) and `faces` (F, 3), the closed ones wound outward."""
+    steps = np.round(vertices / (SAME_VERTEX * max(float(np.ptp(vertices, axis=0).max()), 1e-9)))
+    _, first, number = np.unique(steps, axis=0, return_index=True, return_inverse=True)
+    vertices, faces = vertices[first], number.reshape(-1)[faces]
+    corners, kept = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)  # both sides of a sheet are one face
+    faces = faces[kept[(np.diff(corners, axis=1) > 0).all(axis=1)]]
+    ones = np.ones(2 * len(faces))
+    links = coo_array((ones, (faces[:, :2].T.ravel(), faces[:, 1:].T.ravel())), shape=(len(vertices),) * 2)
+    _, sample, part = np.unique(
+        connected_components(links, directed=False)[1][faces[:, 0]], return_index=True, return_inverse=True
+    )
+    count, part = len(sample), part.reshape(-1)
+    which, turns = _edges(faces, len(vertices))
+    odd, unbalanced = (np.zeros(count, dtype=bool) for _ in range(2))
+    odd[np.repeat(part, 3)[np.bincount(which)[which] % 2 == 1]] = True
+    unbalanced[np.repeat(part, 3)[np.bincount(which, weights=turns)[which] != 0]] = True
+    shells = [vertices[faces[part == p]] for p in np.flatnonzero(~odd & ~unbalanced)]
+    for p in np.flatnonzero(~odd & unbalanced):
+        mesh = trimesh.Trimesh(vertices, faces[part == p], process=False)
+        trimesh.repair.fix_winding(mesh)
+        if mesh.is_winding_consistent:
+            shells.append(vertices[mesh.faces])
+    triangles = np.concatenate([np.zeros((0, 3, 3)), *_outward(shells)])
+    return Shells(vertices[faces[sample, 0]], triangles, count - len(shells))
+
+
+def _edges(faces: IntArray, vertices: int) -> tuple[IntArray, IntArray]:
+    """Return the number of each side's edge (3 F,), and 1 or -1 for the direction in which its face runs along it."""
+    ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    _, which = np.unique(ends.min(axis=1) * vertices + ends.max(axis=1), return_inverse=True)
+    return which.reshape(-1), np.where(ends[:, 0] < ends[:, 1], 1, -1)
+
+
+def _outward(shells: list[FloatArray]) -> list[FloatArray]:
+    """Return `shells`, each (F, 3, 3), with the material on the inner side of all but those of cavities."""
+    volumes = np.array([np.linalg.det(shell).sum() for shell in shells])
+    inside_out = volumes.sum() < 0
+    found = []
+    for shell, inward in zip(shells, volumes < 0, strict=True):
+        samples = shell[:: -(-len(shell) // _SAMPLES), 0]
+        cavity = inward != inside_out and any(
+            (np.abs(winding_numbers(other, samples)) > 0.5).all()
+            for other, turned in zip(shells, volumes < 0, strict=True)
+            if turned == inside_out
+        )
+        found.append(shell[:, ::-1] if inward != cavity else shell)
+    return found
+
+
+def winding_numbers(triangles: FloatArray, points: FloatArray) -> FloatArray:
+    """Return how often the surface of `triangles` (F, 3, 3) encloses each of the `points` (N, 3)."""
+    found = np.empty(len(points))
+    for n, point in enumerate(points):
+        a, b, c = np.moveaxis(triangles - point, 1, 0)
+        x, y, z = (np.linalg.norm(corner, axis=1) for corner in (a, b, c))
+        volume = np.einsum("fi,fi->f", a, np.cross(b, c))
+        dots = [np.einsum("fi,fi->f", *pair) for pair in ((b, c), (c, a), (a, b))]
+        found[n] = np.arctan2(volume, x * y * z + dots[0] * x + dots[1] * y + dots[2] * z).sum() / (2 * np.pi)
+    return found
+
+
+class Solid:
+    """A Coal geometry, in its own frame, that knows its inside.
+
+    Attributes
+    ----------
+    geometry : coal.CollisionGeometry
+    radius : float
+        Of a ball around it [m].
+    """
+
+    def __init__(self, geometry: Any) -> None:
+        geometry.computeLocalAABB()
+        self.geometry, self.radius = geometry, float(geometry.aabb_radius)
+        self.is_mesh = isinstance(geometry, coal.BVHModelBase)
+
+    @cached_property
+    def shells(self) -> Shells:
+        """What is known of the inside; other bodies than meshes have no triangles: Coal knows theirs."""
+        if self.is_mesh:
+            corners = [self.geometry.tri_indices(i) for i in range(self.geometry.num_tris)]
+            return find_shells(np.array(self.geometry.vertices()), np.array([[t[0], t[1], t[2]] for t in corners]))
+        middle = self.geometry.points() if isinstance(self.geometry, coal.ConvexBase) else [self.geometry.aabb_center]
+        return Shells(np.mean(middle, axis=0, keepdims=True), np.zeros((0, 3, 3)), 0)
+
+    @cached_property
+    def bounds(self) -> FloatArray | None:
+        """The low and the high corner (2, 3) of what may be inside; None if nothing may."""
+        corners = self.shells.triangles.reshape(-1, 3)
+        return np.array([corners.min(axis=0), corners.max(axis=0)]) if len(corners) else None
+
+    def may_hold(self, other: Solid) -> bool:
+        """Return whether `other` is small enough to be inside; says yes to all meshes."""
+        if self.bounds is None:
+            return False
+        if other.is_mesh:
+            return True
+        size = np.array(other.geometry.aabb_local.max_) - np.array(other.geometry.aabb_local.min_)
+        volume = float(np.linalg.det(self.shells.triangles).sum() / 6)
+        return bool(size.min() <= np.ptp(self.bounds, axis=0).min() and other.geometry.computeVolume() <= volume)
+
+    def holds(self, points: FloatArray) -> bool:
+        """Return whether any of the `points` (N, 3) is inside a closed part."""
+        if self.bounds is None:
+            return False
+        near = points[((points > self.bounds[0]) & (points < self.bounds[1])).all(axis=1)]
+        return any(not self._has_way_out(p) and winding_numbers(self.shells.triangles, p[None])[0] > 0.5 for p in near)
+
+    def _has_way_out(self, point: FloatArray) -> bool:
+        """Return whether a thin body reaches from `point` (3,) out of the mesh along an axis: quicker than counting."""
+        assert self.bounds is not None
+        ways = (self.bounds - point) * ((-1.0,), (1.0,))  # distances to the sides
+        for side, axis in zip(*np.unravel_index(np.argsort(ways, axis=None), (2, 3)), strict=True):
+            probe = coal.Capsule(PROBE, float(ways[side, axis]) + PROBE)
+            middle = point + np.eye(3)[axis] * (2 * side - 1) * probe.halfLength
+            along = coal.Transform3s(np.roll(np.eye(3), axis - 2, axis=0), middle)  # turns z into the axis
+            request, result = coal.CollisionRequest(), coal.CollisionResult()
+            if not coal.collide(self.geometry, coal.Transform3s(), probe, along, request, result):
+                return True
+        return False
+
+
+def nested(a: Solid, b: Solid, T_a_b: FloatArray) -> bool:
+    """Return whether one of two bodies that do not touch, `b` at `T_a_b` (4, 4) in `a`, holds the other."""
+    T_b_a = invert(T_a_b)
+    inside_a, inside_b = (o.shells.points @ T[:3, :3].T + T[:3, 3] for o, T in ((b, T_a_b), (a, T_b_a)))
+    return a.holds(inside_a) or b.holds(inside_b)
+
+
+def overlap(a: Solid, b: Solid) -> float:
+    """Return the distance that is stated of bodies of which Coal cannot say how deep they overlap [m]: negative."""
+    return -min(a.radius, b.radius)
+
+
+def distance(a: Solid, b: Solid, T_world_a: FloatArray, T_world_b: FloatArray) -> float:
+    """Return the distance of two bodies at poses (4, 4) [m], negative where they overlap or one is in the other."""
+    transforms = [coal.Transform3s(T[:3, :3], T[:3, 3]) for T in (T_world_a, T_world_b)]
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    found = float(coal.distance(a.geometry, transforms[0], b.geometry, transforms[1], request, result))
+    if (found <= 0 and a.is_mesh and b.is_mesh) or nested(a, b, invert(T_world_a) @ T_world_b):
+        return overlap(a, b)
+    return found
+
+
+class Containment:
+    """Which pairs of bodies of a Pinocchio geometry model are one inside the other.
+
+    To be asked where no surfaces touch. Bodies are first looked at in another geometry model, of boxes around what may
+    hold others and balls around the points to be tested; for most it has nothing, and no time is lost.
+
+    Parameters
+    ----------
+    model, data
+        The robot's.
+    geometry : pin.GeometryModel
+    pairs : sequence of (int, int)
+        Numbers of the bodies that are tested against each other.
+    """
+
+    def __init__(self, model: Any, data: Any, geometry: Any, pairs: Sequence[tuple[int, int]]) -> None:
+        self._model, self._data, self._geometry = model, data, geometry
+        self.solids = [Solid(item.geometry) for item in geometry.geometryObjects]
+        self._screen = pin.GeometryModel()
+        self._copies: dict[int, list[tuple[int, Any]]] = defaultdict(list)
+        self._tests: list[tuple[int, int, int]] = []  # pair, the body that may be inside, the body around it
+        known: dict[tuple[int, bool], int] = {}
+        for number, pair in enumerate(pairs):
+            for inner, outer in (pair, pair[::-1]):
+                if self.solids[outer].may_hold(self.solids[inner]):
+                    for index, whole in ((inner, False), (outer, True)):
+                        if (index, whole) not in known:
+                            known[index, whole] = self._copy(index, whole)
+                    self._screen.addCollisionPair(pin.CollisionPair(known[inner, False], known[outer, True]))
+                    self._tests.append((number, inner, outer))
+        self._screen_data = self._screen.createData()
+
+    def _copy(self, index: int, whole: bool) -> int:
+        """Put a box around the shells of a body, or a ball around its points, into the other model."""
+        item, solid = self._geometry.geometryObjects[index], self.solids[index]
+        corners = solid.shells.triangles.reshape(-1, 3) if whole else solid.shells.points
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        size = high - low
+        shape = coal.Box(*size) if whole else coal.Sphere(1e-6 + float(np.linalg.norm(size)) / 2)
+        offset = pin.SE3(np.eye(3), (low + high) / 2)
+        copy = pin.GeometryObject(f"{index}", item.parentJoint, item.placement * offset, shape)
+        number = int(self._screen.addGeometryObject(copy))
+        self._copies[index].append((number, offset))
+        return number
+
+    def moved(self, index: int) -> None:
+        """Take notice that the placement of a body was changed."""
+        for number, offset in self._copies.get(index, ()):
+            self._screen.geometryObjects[number].placement = self._geometry.geometryObjects[index].placement * offset
+
+    def found(self, q: FloatArray) -> list[int]:
+        """Return the numbers of the pairs of which one body is inside the other at configuration `q` (dof,)."""
+        if not self._tests:
+            return []
+        screen = self._model, self._data, self._screen, self._screen_data, q
+        if not pin.computeCollisions(*screen, True):
+            return []
+        pin.computeCollisions(*screen, False)
+        return [
+            number
+            for result, (number, inner, outer) in zip(self._screen_data.collisionResults, self._tests, strict=True)
+            if result.isCollision() and self._holds(outer, inner)
+        ]
+
+    def _holds(self, outer: int, inner: int) -> bool:
+        """Return whether a body holds another where the data's joints are."""
+        items = self._geometry.geometryObjects
+        T_outer, T_inner = (self._data.oMi[items[i].parentJoint] * items[i].placement for i in (outer, inner))
+        T = T_outer.actInv(T_inner).homogeneous
+        return self.solids[outer].holds(self.solids[inner].shells.points @ T[:3, :3].T + T[:3, 3])
