@@ -115,10 +115,10 @@ class CollisionScene:
         return bool(touching or self._inside.found(q))
 
     def collisions(self, q: FloatArray) -> list[tuple[int, int]]:
-        """Return all pairs of bodies, by index, that are nearer than their clearance at configuration `q`."""
+        """Return all pairs of bodies, by index, that are nearer than their clearance at `q`, or one inside the other."""
         pin.computeCollisions(self.model, self.data, self.geometry, self.geometry_data, q, False)
-        results = self.geometry_data.collisionResults
-        return [pair for pair, result in zip(self._pairs, results, strict=True) if result.isCollision()]
+        near = {k for k, result in enumerate(self.geometry_data.collisionResults) if result.isCollision()}
+        return [self._pairs[k] for k in sorted(near.union(self._inside.found(q)))]
 
     def name(self, index: int) -> str:
         """Return what to call the body `index`: its link, or its own name."""
