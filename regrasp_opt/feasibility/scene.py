@@ -115,7 +115,7 @@ class CollisionScene:
         return bool(touching or self._inside.found(q))
 
     def collisions(self, q: FloatArray) -> list[tuple[int, int]]:
-        """Return all pairs of bodies, by index, that are nearer than their clearance at `q`, or one inside the other."""
+        """Return the pairs of bodies, by index, that are nearer than their clearance at `q`, or one in the other."""
         pin.computeCollisions(self.model, self.data, self.geometry, self.geometry_data, q, False)
         near = {k for k, result in enumerate(self.geometry_data.collisionResults) if result.isCollision()}
         return [self._pairs[k] for k in sorted(near.union(self._inside.found(q)))]
