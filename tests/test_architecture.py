@@ -16,7 +16,7 @@ else:
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "regrasp_opt"
 LAYERS = [
-    {"collada", "conventions", "errors", "files", "mesh_files", "shapes", "solids", "threads", "workers"},
+    {"collada", "conventions", "errors", "files", "mesh_files", "schemas", "shapes", "solids", "threads", "workers"},
     {"objects", "end_effectors", "robots"},
     {"workcell"},
     {"grasps"},

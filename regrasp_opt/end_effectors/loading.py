@@ -3,44 +3,29 @@
 from __future__ import annotations
 
 import os
-import sys
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from regrasp_opt.conventions import translation
 from regrasp_opt.end_effectors.model import EndEffector, Pad, default_pad
 from regrasp_opt.errors import UnknownNameError, WorkcellError
+from regrasp_opt.schemas import Section, ascending, read_toml
 from regrasp_opt.shapes import Box, Cylinder
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 END_EFFECTOR_NAMES = ("w", "r140", "r85", "s1", "s2", "s3")
 """The built-in end-effectors: gripper W, Robotiq-140, Robotiq-85, suction cups S1, S2 and S3."""
 
 
-def _ascending(interval: tuple[float, float]) -> tuple[float, float]:
-    if interval[0] >= interval[1]:
-        raise ValueError("input should be [low, high] with low < high")
-    return interval
-
-
 Positive = Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)]
 Coordinate = Annotated[float, Field(ge=-1, le=1, allow_inf_nan=False)]
-Interval = Annotated[tuple[Coordinate, Coordinate], AfterValidator(_ascending)]
+Interval = Annotated[tuple[Coordinate, Coordinate], AfterValidator(ascending)]
 
 
-class _Schema(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
-
-
-class _BoxSchema(_Schema):
+class _BoxSchema(Section):
     x: Interval
     y: Interval
     z: Interval
@@ -50,7 +35,7 @@ class _BoxSchema(_Schema):
         return Box(name, high - low, translation(*((low + high) / 2)))
 
 
-class _CylinderSchema(_Schema):
+class _CylinderSchema(Section):
     radius: Positive
     z: Interval
 
@@ -58,7 +43,7 @@ class _CylinderSchema(_Schema):
         return Cylinder(name, self.radius, self.z[1] - self.z[0], translation(0.0, 0.0, sum(self.z) / 2))
 
 
-class _BodySchema(_Schema):
+class _BodySchema(Section):
     name: str
     box: _BoxSchema | None = None
     cylinder: _CylinderSchema | None = None
@@ -66,7 +51,7 @@ class _BodySchema(_Schema):
     @model_validator(mode="after")
     def _one_shape(self) -> _BodySchema:
         if (self.box is None) == (self.cylinder is None):
-            raise ValueError("input should have either a box or a cylinder")
+            raise ValueError("should have either a box or a cylinder")
         return self
 
     def build(self) -> Box | Cylinder:
@@ -75,17 +60,17 @@ class _BodySchema(_Schema):
         return shape.build(self.name)
 
 
-class _FingerSchema(_Schema):
+class _FingerSchema(Section):
     name: str
     box: _BoxSchema
 
 
-class _PadSchema(_Schema):
+class _PadSchema(Section):
     x: Interval
     z: Interval
 
 
-class _EndEffectorSchema(_Schema):
+class _EndEffectorSchema(Section):
     name: str | None = None
     kind: Literal["parallel", "suction"]
     tcp_offset: Positive
@@ -93,7 +78,7 @@ class _EndEffectorSchema(_Schema):
     pre_opening: Annotated[float, Field(ge=0, le=0.1)] | None = None
     cup_radius: Positive | None = None
     body: Annotated[list[_BodySchema], Field(min_length=1)]
-    finger: list[_FingerSchema] = []
+    finger: list[_FingerSchema] = Field(default_factory=list)
     pad: _PadSchema | None = None
 
     @model_validator(mode="after")
@@ -156,53 +141,4 @@ def load_end_effector(name_or_path: str | os.PathLike[str]) -> EndEffector:
 
 def _parse(text: str, name: str, source: str) -> EndEffector:
     where = f"end-effector '{name}'" if source == "built-in" else source
-    try:
-        data = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise WorkcellError(f"{where} is not valid TOML: {error}") from error
-    try:
-        schema = _EndEffectorSchema.model_validate(data)
-    except ValidationError as error:
-        raise WorkcellError(f"{where}: {describe(error, _EndEffectorSchema)}") from error
-    return schema.build(name, source)
-
-
-def describe(error: ValidationError, schema: type[BaseModel]) -> str:
-    """Return one problem of a pydantic error as a clause: the key, what is wrong, what is allowed.
-
-    An unknown key comes first: it is usually the misspelling behind a missing one.
-    """
-    problems: list[Any] = [*error.errors(include_url=False)]
-    problem = next((one for one in problems if one["type"] == "extra_forbidden"), problems[0])
-    location = problem["loc"]
-    parent = _schema_at(schema, location[:-1])
-    key = ".".join(str(part) for part in location)
-    if parent is not None and problem["type"] == "extra_forbidden":
-        return f"unknown key '{key}'; allowed: {', '.join(parent.model_fields)}"
-    if parent is not None and problem["type"] == "missing":
-        return f"key '{key}' is missing; needed here: {', '.join(_required(parent))}"
-    message = problem["msg"].removeprefix("Value error, ")
-    given = problem["input"]
-    shown = f", not {given!r}" if isinstance(given, (str, int, float, list, tuple)) else ""
-    return f"key '{key}': {message}{shown}" if key else message
-
-
-def _required(schema: type[BaseModel]) -> list[str]:
-    return [name for name, field in schema.model_fields.items() if field.is_required()]
-
-
-def _schema_at(schema: type[BaseModel], location: tuple[int | str, ...]) -> type[BaseModel] | None:
-    """Return the schema of the table at `location`; None where that is a value, such as an interval."""
-    for part in location:
-        if isinstance(part, str):
-            inner = _schemas_in(schema.model_fields[part].annotation)
-            if not inner:
-                return None
-            schema = inner[0]
-    return schema
-
-
-def _schemas_in(annotation: Any) -> list[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    return [schema for inner in getattr(annotation, "__args__", ()) for schema in _schemas_in(inner)]
+    return read_toml(text, _EndEffectorSchema, where).build(name, source)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-import sys
 from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
-from pydantic import ValidationError
 
 from regrasp_opt.conventions import FloatArray, rotation_rpy, translation
 from regrasp_opt.end_effectors import END_EFFECTOR_NAMES, EndEffector, load_end_effector
@@ -16,15 +14,11 @@ from regrasp_opt.errors import MeshError, UnknownNameError, WorkcellError
 from regrasp_opt.files import report_outside
 from regrasp_opt.mesh_files import read_triangles
 from regrasp_opt.robots import Robot, load_robot
+from regrasp_opt.schemas import read_toml
 from regrasp_opt.shapes import Box, Cylinder, Mesh, Shape
 from regrasp_opt.workcell.home import collision_at_home
 from regrasp_opt.workcell.model import Bounds, Clearance, Table, Workcell
-from regrasp_opt.workcell.schema import ObstacleSection, RobotSection, Vector, WorkcellFile, describe
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from regrasp_opt.workcell.schema import ObstacleSection, RobotSection, Vector, WorkcellFile
 
 WORKCELL_NAMES = tuple(f"nova2-{name}" for name in END_EFFECTOR_NAMES)
 """The built-in workcells: the Nova2 with each of the built-in end-effectors."""
@@ -72,14 +66,7 @@ def _parse(path: Path) -> WorkcellFile:
         text = path.read_text("utf-8")
     except (OSError, ValueError) as error:
         raise WorkcellError(f"workcell file {path} cannot be read; give the path of a TOML file") from error
-    try:
-        data = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise WorkcellError(f"{path} is not valid TOML: {error}") from error
-    try:
-        return WorkcellFile.model_validate(data)
-    except ValidationError as error:
-        raise WorkcellError(f"{path}: {describe(error)}") from error
+    return read_toml(text, WorkcellFile, str(path))
 
 
 def _build(content: WorkcellFile, path: Path, source: str, override: str | os.PathLike[str] | None) -> Workcell:

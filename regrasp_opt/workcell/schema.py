@@ -1,33 +1,22 @@
-"""What a workcell file may hold, checked by pydantic, and its errors as one sentence."""
+"""What a workcell file may hold."""
 
 from __future__ import annotations
 
-import difflib
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, Field, model_validator
+
+from regrasp_opt.schemas import Section, ascending
 
 SIZE_KEYS = {"box": ("size",), "cylinder": ("radius", "length"), "mesh": ("file",)}
 """The keys that each type of obstacle needs besides its name and pose."""
 
 
-def _ascending(interval: tuple[float, float]) -> tuple[float, float]:
-    if interval[0] >= interval[1]:
-        raise ValueError("should be [low, high] with low < high")
-    return interval
-
-
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Distance = Annotated[float, Field(ge=0, le=0.1, allow_inf_nan=False)]
-Interval = Annotated[tuple[Number, Number], AfterValidator(_ascending)]
+Interval = Annotated[tuple[Number, Number], AfterValidator(ascending)]
 Vector = tuple[Number, Number, Number]
-
-
-class Section(BaseModel):
-    """A table of the file; unknown keys are errors."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class RobotSection(Section):
@@ -38,8 +27,8 @@ class RobotSection(Section):
     position: Vector = (0.0, 0.0, 0.0)
     rpy: Vector = (0.0, 0.0, 0.0)
     home: list[Number] | None = None
-    ignore_collisions: list[tuple[str, str]] = []
-    package_dirs: list[str] = []
+    ignore_collisions: list[tuple[str, str]] = Field(default_factory=list)
+    package_dirs: list[str] = Field(default_factory=list)
 
 
 class EndEffectorSection(Section):
@@ -107,35 +96,4 @@ class WorkcellFile(Section):
     table: TableSection
     workspace: WorkspaceSection
     clearance: ClearanceSection = ClearanceSection()
-    obstacles: list[ObstacleSection] = []
-
-
-def describe(error: ValidationError) -> str:
-    """Return the first problem of `error` as a clause: the key, what is wrong with it, what is allowed.
-
-    An unknown key comes first, for it is usually the misspelling behind a missing one.
-    """
-    problems: list[Any] = list(error.errors(include_url=False))
-    problem = next((one for one in problems if one["type"] == "extra_forbidden"), problems[0])
-    location = problem["loc"]
-    key = ".".join(str(part) for part in location)
-    if problem["type"] == "extra_forbidden":
-        keys = _keys_at(location[:-1])
-        close = difflib.get_close_matches(str(location[-1]), keys, n=len(keys), cutoff=0.4)
-        return f"unknown key '{key}'; allowed: {', '.join([*close, *(k for k in keys if k not in close)])}"
-    if problem["type"] == "missing":
-        return f"key '{key}' is missing; add it"
-    message = problem["msg"].removeprefix("Value error, ").removeprefix("Input ")
-    given = problem["input"]
-    shown = "" if isinstance(given, dict) else f", not {given!r}"
-    return f"key '{key}': {message}{shown}"
-
-
-def _keys_at(location: tuple[int | str, ...]) -> list[str]:
-    """Return the keys allowed at `location`; every table of the file stands at most one level deep."""
-    section: Any = WorkcellFile
-    for part in location:
-        if isinstance(part, str):
-            annotation = WorkcellFile.model_fields[part].annotation
-            section = getattr(annotation, "__args__", (annotation,))[0]
-    return [field.alias or name for name, field in section.model_fields.items()]
+    obstacles: list[ObstacleSection] = Field(default_factory=list)
