@@ -15,6 +15,9 @@ from regrasp_opt.files import UNREADABLE_ARRAYS, atomic_path, content_hash
 
 KINDS = ("parallel", "suction")
 
+FARTHEST = 100.0
+"""Largest coordinate of a tool pose and largest width [m]; more are millimetres, or damage."""
+
 ORTHONORMAL = 1e-9
 """How far a rotation may be from orthonormal and still be taken as it is."""
 
@@ -36,8 +39,8 @@ class GraspSet:
     Raises
     ------
     GraspError
-        If shapes disagree, or the kind is unknown; names the first grasp whose pose is not rigid or not finite, or
-        whose width is negative or not finite.
+        If shapes disagree, or the kind is unknown; names the first grasp whose pose is not rigid, not finite or far
+        away, or whose width is not a length.
     """
 
     T_object_tcp: FloatArray
@@ -51,11 +54,16 @@ class GraspSet:
             raise GraspError(f"a grasp set has poses {T.shape} and widths {width.shape}; give (G, 4, 4) and (G,)")
         if self.kind not in KINDS:
             raise GraspError(f"a grasp set has kind '{self.kind}'; kinds are {', '.join(KINDS)}")
-        good = np.isfinite(width) & (width >= 0)
+        good = np.isfinite(width) & (width >= 0) & (width <= FARTHEST)
         if not good.all():
             first = int((~good).argmax())
             raise GraspError(f"the width of grasp {first} is {width[first]:g}; give metres, 0 or more")
-        object.__setattr__(self, "T_object_tcp", _orthonormal(T))
+        T = _orthonormal(T)
+        distance = np.abs(T[:, :3, 3]).max(axis=1, initial=0.0)
+        if (distance > FARTHEST).any():
+            first = int(distance.argmax())
+            raise GraspError(f"the pose of grasp {first} is {distance[first]:.3g} m from the object; give metres")
+        object.__setattr__(self, "T_object_tcp", T)
         object.__setattr__(self, "width", width)
 
     def __len__(self) -> int:
@@ -105,7 +113,8 @@ def _numbers(values: ArrayLike, what: str) -> FloatArray:
     try:
         array = np.asarray(values)
         if array.dtype.kind in "fiu":
-            return array.astype(np.float64, copy=False)
+            with np.errstate(over="ignore"):
+                return array.astype(np.float64, copy=False)
     except (TypeError, ValueError, OverflowError):
         pass
     raise GraspError(f"the {what} of a grasp set are not an array of numbers; give nested lists or arrays of them")

@@ -14,6 +14,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from regrasp_opt import GraspSet, RegraspPlan, RegraspProblem, load_workcell, solve_sequence
+from regrasp_opt.cli.app import run
 from regrasp_opt.errors import GraspError, ModelError, PoseError, UnknownNameError
 from regrasp_opt.feasibility.standing import resting_problem, standing_problem
 from regrasp_opt.motion import plan_motion
@@ -194,6 +195,7 @@ def test_a_plan_file_whose_grasp_was_edited_does_not_hold(plan, tmp_path, change
     assert len(loaded.problem.grasps) == len(plan.problem.grasps)
     texts = loaded.residuals().problems
     assert any(text.startswith(f"transition 0: grasp {number} does not hold the object: ") for text in texts)
+    assert run(["check", str(tmp_path / "plan.json")]) == 1
     motion = plan_motion(dataclasses.replace(loaded, transitions=tuple(_only(t, number) for t in loaded.transitions)))
     assert not motion.solved and "holds the object" in motion.reason
 

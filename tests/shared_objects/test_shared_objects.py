@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from regrasp_opt import RegraspProblem, load_object, load_workcell, prepare, solve_sequence
+from regrasp_opt.end_effectors import load_end_effector
+from regrasp_opt.grasps import rejected_grasps, sample_grasps
 from regrasp_opt.planning.tasks import random_task
 
 OBJECTS = Path(__file__).parents[3] / "shared" / "objects"
@@ -19,6 +21,14 @@ def test_as_many_placements_as_in_the_paper(name, count):
     for placement in model.placements:
         heights = model.vertices @ placement.pose[2, :3] + placement.pose[2, 3]
         assert heights.min() == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "tool"), [("mug", "w"), ("bunny", "s3"), ("ycb/mustardbottle", "r140"), ("ycb/tomatosoupcan", "s2")]
+)
+def test_what_the_sampler_makes_of_scans_holds(name, tool):
+    model, effector = load_object(OBJECTS / f"{name}.stl"), load_end_effector(tool)
+    assert rejected_grasps(sample_grasps(model, effector, 30, seed=2), model, effector) == {}
 
 
 def test_from_a_mesh_to_a_plan(tmp_path):
