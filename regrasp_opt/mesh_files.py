@@ -27,6 +27,11 @@ MESH_SUFFIXES = (".stl", ".obj", ".ply", ".glb", ".dae")
 FARTHEST = 1e9
 """How far from the origin vertices may be, in the unit of the file; beyond, single precision overflows."""
 
+SMALLEST_BODY = 0.001
+"""A body whose mesh is smaller than this was scaled twice [m]."""
+
+_UNITS = ((0.001, "millimetres"), (1e-6, "micrometres"))
+
 UNREADABLE = (
     OSError, ValueError, LookupError, TypeError, AttributeError, AssertionError, RuntimeError, NameError, EOFError,
     ImportError, SyntaxError, MemoryError, ArithmeticError, struct.error, HeaderError,
@@ -66,6 +71,26 @@ def read_triangles(path: Path) -> tuple[FloatArray, IntArray]:
     if np.abs(vertices).max() > FARTHEST:
         raise MeshError(f"{path} has vertices more than {FARTHEST:g} units away; export the mesh again")
     return vertices, faces
+
+
+def unlikely_size(vertices: FloatArray, faces: IntArray, largest: float) -> tuple[str, float] | None:
+    """Return a clause about the size of a body's mesh [m] and a factor that would make sense; None if it does already.
+
+    Parameters
+    ----------
+    largest : float
+        Longest extent that is believed [m]; five times as much for the distance from the mesh's origin.
+    """
+    used = vertices[np.unique(faces)]
+    extent, far = float(np.ptp(used, axis=0).max()), float(np.abs(used).max())
+    if extent < SMALLEST_BODY:
+        return f"is only {extent:.3g} m long and was perhaps scaled twice", 1000.0
+    if extent <= largest and far <= 5 * largest:
+        return None
+    size = max(extent, far / 5)
+    factor, unit = next(((f, unit) for f, unit in _UNITS if size * f <= largest), _UNITS[-1])
+    what = f"is {extent:.4g} m long" if extent > largest else f"reaches {far:.4g} m from its origin"
+    return f"{what} and looks like {unit}", factor
 
 
 @contextmanager

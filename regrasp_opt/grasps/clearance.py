@@ -1,9 +1,9 @@
 """Whether an end-effector in a grasp pose is clear of the object (Coal, on its true, concave surface).
 
 The fingers are checked in every opening between almost closed and the approach opening, so that the jaw can
-come in and let go. Contact is a surface test: a finger wholly inside the solid would pass it. That cannot
-happen here: a finger begins `CONTACT_TOLERANCE` beyond a contact, just outside the surface, and the fingers
-and the body touch one another.
+come in and let go. Given grasps are also tested for bodies wholly inside the object, which touch no surface. Those of
+the sampler cannot have any: a finger begins `CONTACT_TOLERANCE` beyond a contact, just outside the surface, and the
+fingers and the body touch one another.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from regrasp_opt.end_effectors import EndEffector
 from regrasp_opt.grasps.grasp_set import GraspSet
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.shapes import Box, Cylinder, Shape
+from regrasp_opt.solids import Solid
 
 CONTACT_TOLERANCE = 0.001
 """How far each finger stands beyond its contact where it must be clear of the object [m]."""
@@ -25,10 +26,13 @@ BODY_CLEARANCE = 0.002
 
 
 class GripperClearance:
-    """The collision test of one end-effector against one object, both fixed in shape."""
+    """The collision test of one end-effector against one object, both fixed in shape; of insides too if `given`."""
 
-    def __init__(self, vertices: FloatArray, faces: IntArray, end_effector: EndEffector) -> None:
+    def __init__(
+        self, vertices: FloatArray, faces: IntArray, end_effector: EndEffector, *, given: bool = False
+    ) -> None:
         self._object = _coal_mesh(vertices, faces)
+        self._solid = Solid(self._object) if given else None
         self._T_tcp_flange = end_effector.T_tcp_flange
         inner = min(CONTACT_TOLERANCE, end_effector.pre_opening)
         self._fingers = end_effector.finger_boxes(2 * inner, swept=end_effector.pre_opening - inner)
@@ -55,17 +59,20 @@ class GripperClearance:
 
     def _reject(self, free: BoolArray, shape: Shape, poses: FloatArray, margin: float) -> None:
         geometry = _coal_shape(shape)
+        points = Solid(geometry).shells.points
         request, origin = coal.CollisionRequest(), coal.Transform3s()
         request.security_margin = margin
         for index in np.flatnonzero(free):
             placed = coal.Transform3s(poses[index, :3, :3], poses[index, :3, 3])
             hit = coal.collide(self._object, origin, geometry, placed, request, coal.CollisionResult())
-            free[index] = not hit
+            free[index] = not hit and not (
+                self._solid is not None and self._solid.holds(points @ poses[index, :3, :3].T + poses[index, :3, 3])
+            )
 
 
 def gripper_free(grasps: GraspSet, model: ObjectModel, end_effector: EndEffector) -> BoolArray:
-    """Return in which grasps (G,) body and fingers are clear of the object, as the sampler demands it."""
-    clearance = GripperClearance(model.vertices, model.faces, end_effector)
+    """Return in which grasps (G,) body and fingers are clear of the object and not inside it."""
+    clearance = GripperClearance(model.vertices, model.faces, end_effector, given=True)
     return clearance.body_free(grasps.T_object_tcp) & clearance.fingers_free(grasps.T_object_tcp, grasps.width)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from importlib.resources import files
 from pathlib import Path
@@ -12,13 +13,16 @@ from regrasp_opt.conventions import FloatArray, rotation_rpy, translation
 from regrasp_opt.end_effectors import END_EFFECTOR_NAMES, EndEffector, load_end_effector
 from regrasp_opt.errors import MeshError, UnknownNameError, WorkcellError
 from regrasp_opt.files import report_outside
-from regrasp_opt.mesh_files import read_triangles
+from regrasp_opt.mesh_files import read_triangles, unlikely_size
 from regrasp_opt.robots import Robot, load_robot
 from regrasp_opt.schemas import read_toml
 from regrasp_opt.shapes import Box, Cylinder, Mesh, Shape
+from regrasp_opt.solids import find_shells
 from regrasp_opt.workcell.home import collision_at_home
 from regrasp_opt.workcell.model import Bounds, Clearance, Table, Workcell
 from regrasp_opt.workcell.schema import ObstacleSection, RobotSection, Vector, WorkcellFile
+
+logger = logging.getLogger(__name__)
 
 WORKCELL_NAMES = tuple(f"nova2-{name}" for name in END_EFFECTOR_NAMES)
 """The built-in workcells: the Nova2 with each of the built-in end-effectors."""
@@ -27,8 +31,8 @@ WORKCELL_NAMES = tuple(f"nova2-{name}" for name in END_EFFECTOR_NAMES)
 LARGEST_WORKSPACE = 10.0
 """A workspace wider than this is taken to be in another unit [m]; its pose lattice would not fit into memory."""
 
-LARGEST_OBSTACLE = 100.0
-"""A mesh with a coordinate beyond this is taken to be in another unit [m]."""
+LARGEST_OBSTACLE = 20.0
+"""A mesh longer than this is taken to be in another unit [m]."""
 
 
 def load_workcell(
@@ -182,7 +186,13 @@ def _mesh(section: ObstacleSection, path: Path, pose: FloatArray) -> Mesh:
         vertices, faces = read_triangles(file)
     except MeshError as error:
         raise WorkcellError(f"{where} cannot be read: {error}") from error
-    vertices = vertices * (section.scale or 1.0)
-    if not np.abs(vertices).max() < LARGEST_OBSTACLE:
-        raise WorkcellError(f"{where} reaches beyond {LARGEST_OBSTACLE:g} m; give a scale")
+    scale = section.scale or 1.0
+    vertices = vertices * scale
+    wrong = unlikely_size(vertices, faces, LARGEST_OBSTACLE)
+    if wrong is not None:
+        raise WorkcellError(f"{where} {wrong[0]}; write scale = {scale * wrong[1]:g}")
+    if find_shells(vertices, faces).open_parts:
+        logger.warning(
+            "%s is not closed: its surface is tested, but not what is inside; close it if it is solid", where
+        )
     return Mesh(section.name, vertices, faces, pose)
