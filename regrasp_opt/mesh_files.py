@@ -40,7 +40,9 @@ UNREADABLE = (
 
 
 def read_triangles(path: Path) -> tuple[FloatArray, IntArray]:
-    """Return the vertices (V, 3) in the file's unit and the triangles (F, 3) of an STL, OBJ, PLY or GLB file.
+    """Return the vertices (V, 3) and the triangles (F, 3) of an STL, OBJ, PLY, GLB or DAE file.
+
+    Vertices are in the file's unit; in metres where the format states it (DAE).
 
     Raises
     ------
@@ -51,7 +53,7 @@ def read_triangles(path: Path) -> tuple[FloatArray, IntArray]:
     if path.suffix.lower() not in MESH_SUFFIXES:
         raise MeshError(f"{path} is no mesh file that can be read; give one of {', '.join(MESH_SUFFIXES)}")
     if not os.path.isfile(path):
-        raise MeshError(f"mesh file {path} does not exist; give the path of an STL, OBJ, PLY or GLB file")
+        raise MeshError(f"mesh file {path} does not exist; give the path of an STL, OBJ, PLY, GLB or DAE file")
     try:
         with quiet_trimesh():
             if path.suffix.lower() == ".dae":

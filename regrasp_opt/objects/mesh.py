@@ -36,7 +36,7 @@ def read_mesh(path: Path, *, scale: float = 1.0, repair: bool = False) -> trimes
     Parameters
     ----------
     path : Path
-        An STL, OBJ, PLY or GLB file.
+        An STL, OBJ, PLY, GLB or DAE file.
     scale : float
         Metres per unit of the file.
     repair : bool

@@ -89,7 +89,7 @@ def load_object(name_or_path: str | os.PathLike[str], *, scale: float = 1.0, rep
     Parameters
     ----------
     name_or_path : str or path
-        ``"bottle"``, ``"mug"``, ``"pentagon"``, ``"figurine"``, or an STL, OBJ, PLY or GLB file.
+        ``"bottle"``, ``"mug"``, ``"pentagon"``, ``"figurine"``, or an STL, OBJ, PLY, GLB or DAE file.
     scale : float
         Metres per unit of the file, for example 0.001; also scales a built-in object.
     repair : bool

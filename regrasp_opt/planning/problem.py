@@ -88,7 +88,7 @@ class RegraspProblem:
         Parameters
         ----------
         object : str or path
-            A built-in name, or an STL, OBJ, PLY or GLB file.
+            A built-in name, or an STL, OBJ, PLY, GLB or DAE file.
         workcell : str or path
             A built-in name, or a TOML file.
         end_effector : str, optional
