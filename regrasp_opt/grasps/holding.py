@@ -78,7 +78,8 @@ def rejected_grasps(grasps: GraspSet, model: ObjectModel, end_effector: EndEffec
     """Return the numbers of the grasps that cannot be used, and why: those that do not hold, or overlap the object."""
     failures = hold_failures(grasps, model, end_effector)
     for index in np.flatnonzero(~gripper_free(grasps, model, end_effector)).tolist():
-        failures[index] = Failure.OVERLAP if failures[index] is not Failure.TOO_WIDE else Failure.TOO_WIDE
+        if failures[index] is not Failure.TOO_WIDE:
+            failures[index] = Failure.OVERLAP
     return {index: failure for index, failure in enumerate(failures) if failure is not None}
 
 

@@ -285,6 +285,8 @@ def assemble(
 def _usable(grasps: GraspSet, body: ObjectModel, workcell: Workcell) -> tuple[GraspSet, dict[int, str]]:
     """Return those of `grasps`, which somebody gave, that hold the object, and why the others are left out."""
     effector = workcell.end_effector
+    if not isinstance(grasps, GraspSet):
+        raise GraspError(f"grasps is a {type(grasps).__name__}; give a GraspSet of poses, widths and kind")
     if len(grasps) == 0:
         raise GraspError("the grasp set is empty; sample or load at least one grasp")
     if grasps.kind != effector.kind:

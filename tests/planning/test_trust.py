@@ -131,6 +131,7 @@ def test_grasps_of_unknown_origin_are_checked(bottle_problem):
         (GraspSet(ahead, grasps.width, "parallel"), "because the gripper overlaps the object"),
         (GraspSet(behind, grasps.width, "parallel"), f"{count} because nothing of the object is between the pads"),
     ]
+    cases.append((grasps.T_object_tcp, "grasps is a ndarray; give a GraspSet"))
     for wrong, text in cases:
         with pytest.raises(GraspError, match=text):
             RegraspProblem.load("bottle", "nova2-w", grasps=wrong)
