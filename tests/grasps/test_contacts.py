@@ -11,7 +11,9 @@ import trimesh
 from regrasp_opt.end_effectors import load_end_effector
 from regrasp_opt.grasps.antipodal import contact_depths, contact_pairs
 from regrasp_opt.grasps.candidates import frames_about
+from regrasp_opt.grasps.clearance import GripperClearance
 from regrasp_opt.grasps.surface import Surface, cast_rays, make_surface, sample_points
+from regrasp_opt.shapes import surface_points
 
 
 def wedge(apex: float, base: float = 0.05, length: float = 0.3) -> Surface:
@@ -142,3 +144,24 @@ def test_points_fill_a_triangle_evenly() -> None:
     assert (points[:, :2] >= 0).all() and (points[:, :2].sum(axis=1) <= 1).all() and (points[:, 2] == 0).all()
     np.testing.assert_allclose(points[:, :2].mean(axis=0), 1 / 3, atol=0.015)
     np.testing.assert_allclose(np.cov(points[:, :2].T), np.array([[1, -0.5], [-0.5, 1]]) / 18, atol=0.003)
+
+
+@pytest.mark.parametrize(("overlap", "free"), [(0.0008, True), (0.0012, False)])
+def test_fingers_may_overlap_a_contact_by_a_millimetre(overlap: float, free: bool) -> None:
+    """They are checked where they begin to open; less is what bumpy sides and rounded poses take."""
+    box = trimesh.creation.box(extents=(0.02, 0.05, 0.2))
+    clearance = GripperClearance(box.vertices, box.faces, load_end_effector("w"))
+    T = np.eye(4)
+    T[2, 3] = -0.09  # near the lower end, from below
+    assert clearance.fingers_free(T[None], np.array([0.05 - 2 * overlap])).tolist() == [free]
+
+
+@pytest.mark.parametrize(("gap", "free"), [(0.0015, False), (0.0025, True)])
+def test_the_body_of_a_jaw_stays_2_mm_away_and_a_cup_may_touch(gap: float, free: bool) -> None:
+    plate = trimesh.creation.box(extents=(0.3, 0.3, 0.02))
+    for name, allowed in (("w", free), ("s1", True)):
+        tool = load_end_effector(name)
+        top = max(float(surface_points(shape)[:, 2].max()) for shape in tool.body)  # in the flange frame
+        T = np.eye(4)
+        T[2, 3] = -0.01 - gap - top + tool.tcp_offset  # from below: the body's top is `gap` under the plate
+        assert GripperClearance(plate.vertices, plate.faces, tool).body_free(T[None]).tolist() == [allowed]
