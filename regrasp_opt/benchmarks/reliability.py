@@ -30,9 +30,9 @@ from regrasp_opt.planning import RegraspProblem
 
 TEXT = (
     "Plans between random poses, half of the pairs sharing no grasp, in several workcells, with all and with few "
-    "grasps; every plan is proved twice over, every failure is asked of an exact grid. Damaged files for every reader, "
-    "and damaged command lines. prepare and bench killed with SIGKILL, and ended with SIGINT and SIGTERM, at random "
-    "moments."
+    "grasps; every claim of a plan is verified by its certificate, on the bodies that the planner knows too; every "
+    "failure is asked of an exact grid. Damaged files for every reader, and damaged command lines. prepare and bench "
+    "killed with SIGKILL, and ended with SIGINT and SIGTERM, at random moments."
 )
 
 

@@ -47,7 +47,7 @@ def _summary(rows: Sequence[Row]) -> Table:
     lines: list[tuple[Cell, ...]] = [
         ("planning problems tried", len(plans), "2000"),
         (
-            "false positives: plans that a proof refutes",
+            "false positives: plans that their certificate refutes",
             sum(bool(row["wrong"]) for row in plans) if plans else None,
             "0",
         ),

@@ -194,7 +194,7 @@ def test_the_summary_counts_what_the_rows_hold(tmp_path, monkeypatch):
     rows += [{"part": "faults", "command": "bench", "signal": "SIGKILL", "kills": 7, "half_files": 0, "failed": 1}]
     rows += [{"part": "faults", "command": "bench", "signal": "SIGINT", "sent": 2, "slowest": 1.5, "half_files": 0}]
     found = summary(rows)
-    assert found["planning problems tried"] == 7 and found["false positives: plans that a proof refutes"] == 0
+    assert found["planning problems tried"] == 7 and found["false positives: plans that their certificate refutes"] == 0
     assert found["false negatives: solvable on the exact grid, but not solved"] == 1
     assert found["false negatives, share of the solvable [%]"] == 25.0
     assert found["tracebacks, crashes, hangs, files harmed"] == 1
@@ -202,7 +202,7 @@ def test_the_summary_counts_what_the_rows_hold(tmp_path, monkeypatch):
     assert found["kills"] == 7 and found["half files, runs that did not recover, other results"] == 1
     assert found["longest time to end [s]"] == 1.5
     assert found["branch coverage [%]"] is None and found["mutants killed [%]"] is None
-    assert summary([{**rows[0], "wrong": "x"}])["false positives: plans that a proof refutes"] == 1
+    assert summary([{**rows[0], "wrong": "x"}])["false positives: plans that their certificate refutes"] == 1
     assert "3: crash" in reliability_tables(rows)[2].note
 
 
