@@ -1,6 +1,6 @@
-"""What every inverse kinematics shares: its interface, and the proof of each branch.
+"""What every inverse kinematics shares: its interface, and how each branch is verified.
 
-A solver proposes joint values; `prove` folds them into the joint limits, drops those that have no place
+A solver proposes joint values; `verify` folds them into the joint limits, drops those that have no place
 there, and keeps only those whose forward kinematics gives the pose that was asked for.
 """
 
@@ -22,6 +22,9 @@ from regrasp_opt.conventions import (
     pose_distance,
 )
 from regrasp_opt.robots.kinematics import SerialChain
+
+DISTINCT = 1e-3
+"""Solutions of a pose are the same where no joint differs by more than this [rad, m]."""
 
 
 class IkSolutions(NamedTuple):
@@ -70,7 +73,7 @@ def reaches(chain: SerialChain, T: FloatArray, q: FloatArray) -> BoolArray:
     return (distance <= FK_POSITION_TOLERANCE) & (angle <= FK_ROTATION_TOLERANCE)
 
 
-def prove(
+def verify(
     chain: SerialChain, T: FloatArray, solutions: IkSolutions, lower: FloatArray, upper: FloatArray
 ) -> IkSolutions:
     """Return the `solutions` that have a place within limits (dof,) and reach their pose of `T` (B, 4, 4)."""
@@ -78,3 +81,17 @@ def prove(
     q, index = q[fits], solutions.pose_index[fits]
     good = reaches(chain, T[index], q)
     return IkSolutions(q[good], index[good])
+
+
+def distinct(solutions: IkSolutions) -> IkSolutions:
+    """Return the `solutions` without those that repeat an earlier one of the same pose, up to whole turns."""
+    q, index = solutions
+    first = np.ones(len(q), dtype=bool)
+    for gap in range(1, len(q)):
+        same = index[gap:] == index[:-gap]
+        if not same.any():
+            break
+        later = np.flatnonzero(same & (np.abs(q[gap:, 0] - q[:-gap, 0]) < DISTINCT))
+        apart = q[later + gap] - q[later]
+        first[later[np.abs(apart).max(axis=1, initial=0.0) < DISTINCT] + gap] = False
+    return IkSolutions(q[first], index[first])

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, DTypeLike
 
 from regrasp_opt.conventions import BoolArray, FloatArray
 
@@ -48,23 +48,24 @@ class SerialChain:
         """Rotations (dof, 3, 3) that take z to each axis; placements and tip between the frames so turned."""
         turn = np.array([_z_to(axis) for axis in self.axes])
         after = np.concatenate([self.placements[1:], self.tip[None]])
-        steps = np.concatenate([self.placements[:1], after])
+        steps: FloatArray = np.concatenate([self.placements[:1], after])
         steps[1:, :3] = np.swapaxes(turn, -1, -2) @ steps[1:, :3]
         steps[:-1, :3, :3] = steps[:-1, :3, :3] @ turn
         return turn, steps[:-1], steps[-1]
 
-    def _frames(self, q: ArrayLike) -> tuple[list[FloatArray], list[FloatArray]]:
-        """Axes and origins of the turned joint frames after their joints, then of the tip.
+    def frames(self, q: ArrayLike, dtype: DTypeLike = np.float64) -> tuple[list[FloatArray], list[FloatArray]]:
+        """Axes and origins of the turned joint frames after their joints, then of the tip, computed in `dtype`.
 
         Axes are (3, 3, B), the first index telling which axis; origins are (3, B). With the batch last,
         every operation runs over contiguous memory.
         """
-        _, steps, tip = self._turned
-        q = np.asarray(q, dtype=np.float64).reshape(-1, self.dof).T
+        steps: FloatArray = np.concatenate([self._turned[1], self._turned[2][None]]).astype(dtype, copy=False)
+        q = np.asarray(q, dtype=dtype).reshape(-1, self.dof).T
         c, s = np.cos(q), np.sin(q)
-        axes, origin = np.eye(3)[:, :, None].repeat(q.shape[1], -1), np.zeros((3, q.shape[1]))
+        axes: FloatArray = np.eye(3, dtype=dtype)[:, :, None].repeat(q.shape[1], -1)
+        origin: FloatArray = np.zeros((3, q.shape[1]), dtype=dtype)
         all_axes, origins = [], []
-        for i, step in enumerate([*steps, tip]):
+        for i, step in enumerate(steps):
             flat = axes.reshape(3, -1)
             origin = origin + (step[:3, 3] @ flat).reshape(3, -1)
             axes = (step[:3, :3].T @ flat).reshape(3, 3, -1)
@@ -78,12 +79,12 @@ class SerialChain:
 
     def forward(self, q: ArrayLike) -> FloatArray:
         """Return ``T_base_tip`` (..., 4, 4) at configurations `q` (..., dof)."""
-        axes, origins = self._frames(q)
+        axes, origins = self.frames(q)
         return _assemble(axes[-1], origins[-1]).reshape(*np.shape(q)[:-1], 4, 4)
 
     def link_transforms(self, q: ArrayLike) -> FloatArray:
         """Return the poses (..., dof, 4, 4) of all joint frames in the base frame at `q` (..., dof)."""
-        axes, origins = self._frames(q)
+        axes, origins = self.frames(q)
         frames = np.stack([_assemble(a, o) for a, o in zip(axes[:-1], origins[:-1], strict=True)], axis=1)
         frames[..., :3, :3] = frames[..., :3, :3] @ np.swapaxes(self._turned[0], -1, -2)
         return frames.reshape(*np.shape(q)[:-1], self.dof, 4, 4)

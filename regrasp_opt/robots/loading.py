@@ -18,10 +18,9 @@ import pinocchio as pin
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.errors import UnknownNameError, WorkcellError
 from regrasp_opt.robots import urdf
-from regrasp_opt.robots.analytic import analytic_ik
 from regrasp_opt.robots.kinematics import chain_of_model
-from regrasp_opt.robots.numerical import NumericalIk
 from regrasp_opt.robots.robot import Robot
+from regrasp_opt.robots.self_test import inverse_kinematics
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -142,7 +141,6 @@ def build_robot(source: RobotSource) -> Robot:
     farthest = float(np.abs(np.append(chain.placements[:, :3, 3], chain.tip[:3, 3])).max())
     if farthest > LARGEST_OFFSET:
         raise WorkcellError(f"robot file {source.path} has joints {farthest:.3g} m apart; give its lengths in metres")
-    analytic = analytic_ik(chain, lower, upper)
     return Robot(
         name=source.name,
         urdf_path=source.path,
@@ -150,7 +148,7 @@ def build_robot(source: RobotSource) -> Robot:
         collision=collision,
         tip_frame=source.tip,
         chain=chain,
-        ik=analytic or NumericalIk(chain, model, source.tip, lower, upper, home),
+        ik=inverse_kinematics(source.name, chain, lower, upper, home),
         lower=lower,
         upper=upper,
         velocity_limits=np.array(model.velocityLimit),

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from arms import GENERAL_SIX, arm_urdf
+from arms import GENERAL_SIX, MIXED, arm_urdf
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -60,7 +60,7 @@ def test_analytic_branches_are_sound_and_contain_where_the_pose_came_from(name, 
 
 
 def test_analytic_branches_miss_none_that_a_numerical_search_finds(nova2):
-    search = NumericalIk(nova2.chain, nova2.model, "flange", nova2.lower, nova2.upper, nova2.home)
+    search = NumericalIk(nova2.chain, nova2.lower, nova2.upper, nova2.home)
     T = nova2.forward(configurations(nova2, 12, seed=3))
     found, branches = search.solve(T), nova2.solve_ik(T)
     assert len(found.q) > 30
@@ -136,6 +136,34 @@ def test_numerical_solutions_are_sound_and_distinct(name, request):
 def test_numerical_search_finds_where_the_pose_came_from(general):
     q = configurations(general, 24, seed=6)
     assert share_found(q, general.solve_ik(general.forward(q))) >= 0.9
+
+
+SLIDE = ("prismatic", "0.1 0 0.2", "0.2 0 0.1", "0 1 0", (-0.3, 0.4))
+SHORT = {
+    "one joint": GENERAL_SIX[:1],
+    "one slide": [SLIDE],
+    "turn and slide": [GENERAL_SIX[0], SLIDE],
+    "two": GENERAL_SIX[:2],
+    "three": GENERAL_SIX[:3],
+    "three slides": [SLIDE, ("prismatic", "0 0 0", "0 0 0", "1 0 0", (-0.3, 0.4)), (*SLIDE[:4], (0, 0.2))],
+    "four": MIXED,
+    "five": GENERAL_SIX[:5],
+}
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_short_arms_reach_their_own_poses_and_no_others(name, tmp_path):
+    (tmp_path / "short.urdf").write_text(arm_urdf(SHORT[name]))
+    robot = load_robot(tmp_path / "short.urdf")
+    q = configurations(robot, 5)
+    T = robot.forward(q)
+    solutions = robot.solve_ik(T)
+    check_sound(robot, T, solutions)
+    assert share_found(q, solutions) == 1.0
+    T[:, :3, :3] = T[:, :3, :3] @ np.array([[0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    assert len(robot.solve_ik(T).q) == 0
+    assert robot.ik_test[1:4] == (8, 8, 8)
+    assert robot.ik_test.residual < 1e-6
 
 
 def test_the_same_poses_give_the_same_solutions(nova2, panda):

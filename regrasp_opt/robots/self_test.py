@@ -1,0 +1,102 @@
+"""Whether an inverse kinematics finds the arm's own configurations, and the choice of one by that.
+
+Libraries fail for some arms without saying so: no branch for poses that the arm is at. So the solver is asked for
+the poses of seeded configurations, and its answers have to hold these configurations.
+"""
+
+from __future__ import annotations
+
+import logging
+from typing import NamedTuple
+
+import numpy as np
+
+from regrasp_opt.conventions import FloatArray, pose_distance
+from regrasp_opt.robots.analytic import AnalyticIk, descriptions
+from regrasp_opt.robots.ik import InverseKinematics
+from regrasp_opt.robots.kinematics import SerialChain
+from regrasp_opt.robots.numerical import NumericalIk
+
+logger = logging.getLogger(__name__)
+
+TRIED = 64
+"""Configurations that an analytic solver is tried on."""
+TRIED_NUMERICALLY = 8
+"""The same for a numerical solver, which takes thousands of times as long."""
+ENOUGH = 0.95
+"""Share of them that an analytic solver has to find; those missed are next to singularities."""
+SAME = 1e-3
+"""A configuration is found where no joint of a solution is further away, but for whole turns [rad, m]."""
+
+
+class IkTest(NamedTuple):
+    """How an inverse kinematics did on configurations of the arm itself.
+
+    Attributes
+    ----------
+    solver : str
+        ``"analytic"`` with EAIK's name of the decomposition, or ``"numerical"``.
+    tried : int
+        Number of configurations.
+    solved : int
+        For how many of their poses there was any solution.
+    found : int
+        How many of the configurations were among the solutions. More than six joints, or axes that coincide, have
+        infinitely many solutions, of which it will hardly be one.
+    residual : float
+        Largest distance between a solution's pose and the one asked for [m, rad].
+    """
+
+    solver: str
+    tried: int
+    solved: int
+    found: int
+    residual: float
+
+
+def self_test(ik: InverseKinematics, chain: SerialChain, lower: FloatArray, upper: FloatArray) -> IkTest:
+    """Return how `ik` does on random configurations of `chain` within the limits (dof,) [rad, m]."""
+    analytic = isinstance(ik, AnalyticIk)
+    tried = TRIED if analytic else TRIED_NUMERICALLY
+    q = np.random.default_rng(0).uniform(lower, upper, (tried, chain.dof))
+    T = chain.forward(q)
+    solutions = ik.solve(T)
+    apart = solutions.q - q[solutions.pose_index]
+    apart = np.where(chain.prismatic, apart, apart - 2 * np.pi * np.round(apart / (2 * np.pi)))
+    same = np.abs(apart).max(axis=1) <= SAME
+    distance, angle = pose_distance(chain.forward(solutions.q), T[solutions.pose_index])
+    return IkTest(
+        solver=f"analytic, {ik.family}" if isinstance(ik, AnalyticIk) else "numerical",
+        tried=tried,
+        solved=len(set(solutions.pose_index)),
+        found=len(set(solutions.pose_index[same])),
+        residual=float(np.maximum(distance, angle).max(initial=0.0)),
+    )
+
+
+def inverse_kinematics(
+    name: str, chain: SerialChain, lower: FloatArray, upper: FloatArray, home: FloatArray
+) -> InverseKinematics:
+    """Return the analytic solver that does best on `chain`, or a numerical one where none does well enough.
+
+    Limits and `home` are arrays (dof,) [rad, m]; `name` is the arm's, for the log.
+    """
+    best: tuple[int, AnalyticIk] | None = None
+    for solver in descriptions(chain, lower, upper):
+        found = self_test(solver, chain, lower, upper).found
+        if best is None or found > best[0]:
+            best = found, solver
+        if found == TRIED:
+            break
+    if best is not None and best[0] >= ENOUGH * TRIED:
+        return best[1]
+    if best is not None:
+        logger.warning(
+            "%s: the analytic inverse kinematics for %s finds %d of %d configurations of this arm; the numerical one "
+            "is used",
+            name,
+            best[1].family,
+            best[0],
+            TRIED,
+        )
+    return NumericalIk(chain, lower, upper, home)
