@@ -1,12 +1,15 @@
 import casadi as ca
 import numpy as np
 import pytest
+from derivatives import assert_derivative
 from transforms import random_transforms
 
 from regrasp_opt.conventions import planar_transform
 from regrasp_opt.energy.activations import ACTIVATIONS, activate
 from regrasp_opt.energy.casadi_energy import CasadiEnergy
+from regrasp_opt.energy.export import grasp_function
 from regrasp_opt.energy.features import pair_features
+from regrasp_opt.energy.model import GraspEnergy
 
 
 @pytest.mark.parametrize("activation", ACTIVATIONS)
@@ -56,7 +59,32 @@ def test_casadi_energy_equals_numpy_for_planar_and_full_poses(make_energy, featu
     np.testing.assert_allclose(np.array(full(pose))[:, 0], energy(pose), atol=1e-12)
 
 
-def test_fingerprint_changes_with_the_weights_only(make_energy):
+def test_fingerprint_changes_with_the_weights_and_the_grasps_only(make_energy):
     energy, same, other = make_energy(), make_energy(), make_energy(seed=9)
     same.model.metadata["note"] = "metadata is not part of the value"
     assert energy.fingerprint() == same.fingerprint() != other.fingerprint()
+    assert GraspEnergy(energy.model, energy.grasps.subset([1, 0])).fingerprint() != energy.fingerprint()
+
+
+@pytest.mark.parametrize("features", ["tcp", "paper"])
+@pytest.mark.parametrize("bounded", [True, False])
+def test_the_energy_of_a_free_grasp_is_that_of_the_set(make_energy, features, bounded):
+    energy = make_energy(features=features, bounded=bounded)
+    function = grasp_function(energy.model)
+    T = energy.grasps.T_object_tcp[3]
+    expected = energy(T)
+    for k in range(0, len(energy), 5):
+        found = float(function(T, energy.grasps.T_object_tcp[k], energy.grasps.width[k]))
+        assert found == pytest.approx(expected[k], abs=1e-10)
+
+
+def test_the_energy_of_a_free_grasp_can_be_differentiated(make_energy):
+    energy = make_energy()
+    function = grasp_function(energy.model)
+    T, g = energy.grasps.T_object_tcp[:2]
+    symbol = ca.MX.sym("g", 4, 4)
+    gradient = ca.Function("d", [symbol], [ca.jacobian(function(T, symbol, 0.05), ca.vec(symbol))])
+    flat = g.ravel(order="F")
+    assert_derivative(
+        lambda x: float(function(T, x.reshape(4, 4, order="F"), 0.05)), np.array(gradient(g))[0], flat, tolerance=1e-5
+    )

@@ -64,12 +64,14 @@ PAPER = TrainingOptions(loss="paper", alpha_reg=0.0)
 OUTPUTS, LABELS = torch.tensor([-1.0, 0.5, 2.0, 3.0, 0.1]), torch.tensor([1.0, 1.0, 0.0, 0.0, 0.0])
 
 
-def test_the_papers_loss_is_a_normalised_likelihood_and_a_contrast():
+@pytest.mark.parametrize("feasible", [1, 2, 4])
+def test_the_papers_loss_is_a_normalised_likelihood_and_a_contrast(feasible):
     """``-log(exp(-E) / mean exp(-E))`` of the feasible ones, and ``log(1 + exp(E_good - E_bad))`` of all pairs."""
-    good, bad = OUTPUTS[:2].numpy(), OUTPUTS[2:].numpy()
+    good, bad = OUTPUTS[:feasible].numpy(), OUTPUTS[feasible:].numpy()
+    labels = (torch.arange(5) < feasible).float()
     density = np.exp(-good) / np.exp(-OUTPUTS.numpy()).mean()
     contrast = np.mean([np.log(1 + np.exp(g - b)) for g in good for b in bad])
-    assert float(training_loss(OUTPUTS, LABELS, PAPER)) == pytest.approx(-np.log(density).mean() + contrast, rel=1e-5)
+    assert float(training_loss(OUTPUTS, labels, PAPER)) == pytest.approx(-np.log(density).mean() + contrast, rel=1e-5)
 
 
 def test_the_papers_loss_knows_energies_up_to_a_constant_only():

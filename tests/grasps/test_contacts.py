@@ -127,6 +127,18 @@ def test_a_line_crosses_a_ball_where_it_should() -> None:
     assert (outward > 0.9).all() and ball.areas.sum() == pytest.approx(4 * np.pi, rel=0.01)
 
 
+def test_a_line_through_a_vertex_meets_the_surface() -> None:
+    """Lines along the axes pass exactly where boxes of triangles end, too."""
+    mesh = trimesh.creation.box(extents=(0.1, 0.1, 0.1))
+    for _ in range(3):
+        mesh = mesh.subdivide()
+    inner = mesh.vertices[(np.abs(mesh.vertices[:, :2]) < 0.049).all(axis=1)]
+    assert len(np.unique(inner[:, :2], axis=0)) > 40
+    hits = cast_rays(make_surface(mesh), inner * [1, 1, 0], np.tile([0.0, 0.0, 1.0], (len(inner), 1)))
+    for side in (-0.05, 0.05):
+        assert set(hits.ray[np.abs(hits.distance - side) < 1e-12]) == set(range(len(inner)))
+
+
 def test_creases_are_edges_that_bend_by_more_than_25_degrees() -> None:
     box = make_surface(trimesh.creation.box(extents=(0.04, 0.06, 0.08)))
     assert len(box.creases) == 12 and box.crease_angles == pytest.approx(np.full(12, np.pi / 2))

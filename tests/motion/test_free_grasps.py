@@ -2,11 +2,9 @@
 
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 import pytest
 import trimesh
-from derivatives import assert_derivative
 from scipy.spatial.transform import Rotation
 
 from regrasp_opt import RegraspPlan, RegraspProblem, Status, solve_sequence
@@ -91,30 +89,6 @@ def test_suction_grasps_settle_on_the_surface_and_seal():
     _, distance, _ = trimesh.proximity.closest_point(problem.object.mesh, grasps.T_object_tcp[:, :3, 3])
     assert distance.max() < 1e-6
     assert settler.worst_grade(grasps) <= grade
-
-
-@pytest.mark.parametrize("features", ["tcp", "paper"])
-@pytest.mark.parametrize("bounded", [True, False])
-def test_the_energy_of_a_free_grasp_is_that_of_the_set(make_energy, features, bounded):
-    energy = make_energy(features=features, bounded=bounded)
-    function = grasp_function(energy.model)
-    T = energy.grasps.T_object_tcp[3]
-    expected = energy(T)
-    for k in range(0, len(energy), 5):
-        found = float(function(T, energy.grasps.T_object_tcp[k], energy.grasps.width[k]))
-        assert found == pytest.approx(expected[k], abs=1e-10)
-
-
-def test_the_energy_of_a_free_grasp_can_be_differentiated(make_energy):
-    energy = make_energy()
-    function = grasp_function(energy.model)
-    T, g = energy.grasps.T_object_tcp[:2]
-    symbol = ca.MX.sym("g", 4, 4)
-    gradient = ca.Function("d", [symbol], [ca.jacobian(function(T, symbol, 0.05), ca.vec(symbol))])
-    flat = g.ravel(order="F")
-    assert_derivative(
-        lambda x: float(function(T, x.reshape(4, 4, order="F"), 0.05)), np.array(gradient(g))[0], flat, tolerance=1e-5
-    )
 
 
 @pytest.mark.parametrize("kind", ["parallel", "suction"])

@@ -151,7 +151,7 @@ def test_objects_of_5_mm_to_2_m_are_taken_as_they_are(tmp_path: Path, longest: f
 @pytest.mark.parametrize(
     ("make", "suffix", "expected"),
     [
-        (without_a_triangle, "stl", "not watertight.*--repair"),
+        (without_a_triangle, "stl", "not watertight; close its surface or try --repair$"),
         (half_open, "stl", "not watertight.*--repair"),
         (doubled_faces, "ply", "not watertight.*--repair"),
         (cracked, "stl", "not watertight.*--repair"),

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from regrasp_opt.objects import OBJECT_NAMES, ObjectModel, load_object, stable_placements
@@ -152,3 +153,24 @@ def test_scans(name, count):
     if not path.exists():
         pytest.skip("the scanned objects are not here")
     assert len(load_object(path).placements) == count
+
+
+def rocker(ratio, radius=0.1):
+    """A block on a round base of 9 facets whose radius is `ratio` times the height of the centre of mass."""
+    angle = np.deg2rad(np.arange(-45, 46, 10))
+    arc = radius * np.column_stack([np.sin(angle), np.cos(angle[4]) - np.cos(angle)])
+
+    def body(top):
+        section = np.vstack([arc, arc[[0, -1]] + [0, top]])
+        return trimesh.convex.convex_hull(np.vstack([np.insert(section, 1, y, axis=1) for y in (-0.03, 0.03)]))
+
+    return body(brentq(lambda top: body(top).center_mass[2] * ratio - radius, 1e-3, 0.3))
+
+
+@pytest.mark.parametrize(("ratio", "rests"), [(1.6, False), (1.95, False), (2.12, True), (2.9, True)])
+def test_a_rocker_rests_where_a_fine_round_side_would_have_the_margin(ratio, rests):
+    """Its strip of half width ``radius tan(pi / 64)`` is a tenth of the height at a radius of 2.04 heights."""
+    upright = [p for p in stable_placements(rocker(ratio)) if p.pose[2, 2] > 0.999]
+    assert len(upright) == rests
+    if rests:  # its facets are 10 degrees wide
+        assert upright[0].margin == pytest.approx(ratio * np.sin(np.deg2rad(5)), rel=1e-6)

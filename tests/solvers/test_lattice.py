@@ -110,6 +110,14 @@ def test_start_points_come_from_different_cells_first(make_objective):
     np.testing.assert_allclose(found.cost, 2 * np.array([0.0, 0.2, 0.1]), atol=1e-6)
 
 
+def test_chains_of_equal_cost_keep_their_order(make_objective):
+    energies = np.random.default_rng(0).integers(2, size=(200, 1)).astype(float)
+    lattice = lattice_of(energies)
+    found = starts(replace(lattice, xi=lattice.xi * 10 * SPACING), make_objective(np.zeros(1), np.zeros(1)), count=200)
+    order = [*np.flatnonzero(energies == 0), *np.flatnonzero(energies == 1)]
+    np.testing.assert_allclose(found.xi[:, 0, 0], np.array(order) * 10 * SPACING)
+
+
 def test_large_layers_keep_the_cheapest_quarter_and_draw_the_rest_from_what_is_reachable(make_objective, monkeypatch):
     monkeypatch.setattr("regrasp_opt.solvers.lattice.MIDDLE", 8)
     energies = np.full((60, 1), 9.0)  # out of reach: exp(-9) expected grasps

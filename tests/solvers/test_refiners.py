@@ -228,6 +228,9 @@ def test_grasps_that_cannot_matter_are_left_out_without_a_change_of_the_cost(ran
         starts = random_starts(objective, num_regrasps, 3, np.random.default_rng(0))
         refined = NlpRefiner().refine(objective, starts, np.random.default_rng(0))
         assert refined.stats["grasps"] == grasps and refined.stats["solves"] == 3
+        assert sorted(refined.stats["statuses"].items()) == [
+            (s, refined.status.count(s)) for s in sorted({*refined.status})
+        ]
         for trace, xi, placements in zip(refined.traces, refined.candidates.xi, starts.placements, strict=True):
             assert trace[-1] == pytest.approx(objective.cost(placements[None], xi[None])[0], abs=1e-6)
 

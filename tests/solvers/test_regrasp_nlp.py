@@ -137,6 +137,13 @@ def test_derivatives_in_an_opti_problem_match_finite_differences(setting):
     assert_derivative(lambda x: np.array(of(x)[1])[:, 0], np.array(of(v)[2]), v)
 
 
+def test_a_variable_with_equal_bounds_is_fixed(make_nlp):
+    nlp = make_nlp()
+    held = nlp.variable("held", lower=0.3, upper=0.3, guess=0.3)
+    nlp.add_cost((held - 1) ** 2)
+    assert nlp.unpack(nlp.solve().x)["held"] == pytest.approx(0.3, abs=1e-7)
+
+
 def test_an_unreachable_constraint_is_not_hidden(make_nlp):
     nlp = make_nlp()
     nlp.add_constraint("pairs", nlp.scores, upper=-40.0)
