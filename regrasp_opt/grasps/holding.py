@@ -128,7 +128,7 @@ def _contacts(
     touches, opposes = np.zeros((2, 2, len(T) * count), dtype=bool)
     for side, sign in enumerate((-1.0, 1.0)):
         inside = half - sign * hits.distance
-        at_pad = (inside >= -CONTACT_TOLERANCE) & (inside <= np.minimum(GAP, half)) & (sign * facing > 0)
+        at_pad = (inside >= -CONTACT_TOLERANCE) & (inside <= np.minimum(GAP, half))
         touches[side, hits.ray[at_pad]] = True
         opposes[side, hits.ray[at_pad & (sign * facing >= cosine)]] = True
     crossed = np.zeros(len(T), dtype=bool)

@@ -91,7 +91,7 @@ def test_a_set_that_was_shifted_back_holds_nothing(tool: str) -> None:
         (moved(x=0.02 + 0.0125 - 0.003), 0.06, None),  # the object's edge, 3 mm on the sides of the pads
         (moved(x=0.02 + 0.0125 + 0.0005), 0.06, Failure.NOTHING_HELD),
         (moved(x=0.2), 0.06, Failure.NOTHING_HELD),
-        (moved(y=0.2), 0.06, Failure.NOTHING_HELD),
+        (moved(y=0.09), 0.06, Failure.NOTHING_HELD),
         (moved(y=0.0009), 0.06, None),
         (moved(y=0.003), 0.06, Failure.NOT_REACHED),
         (moved(), 0.063, None),  # as wide as on a bumpy side
@@ -128,6 +128,21 @@ def test_a_thin_card_is_held_by_its_edges(beyond: float, upright: bool) -> None:
     card = ObjectModel("card", trimesh.creation.box((0.05, 0.08, 0.001)), ())
     T = moved(axis="y", degrees=90) if upright else moved()
     assert failure(T @ translation(0, 0, -beyond), 0.08, card) is None
+
+
+def test_a_thin_card_beside_the_middle_of_the_pad_is_held_at_the_height_of_the_tcp() -> None:
+    card = ObjectModel("card", trimesh.creation.box((0.001, 0.08, 0.01)), ())
+    assert failure(moved(x=0.0022), 0.08, card) is None
+    assert failure(moved(x=0.2), 0.08, card) == Failure.NOTHING_HELD
+
+
+def test_a_slot_does_not_hold_the_fingers_in_its_walls() -> None:
+    """The walls of a slot face each other, not the pads, whatever the width."""
+    block, slot = trimesh.creation.box((0.04, 0.06, 0.04)), trimesh.creation.box((0.06, 0.001, 0.03))
+    slot.apply_translation([0, 0, -0.02])
+    slotted = ObjectModel("slotted", trimesh.boolean.difference([block, slot], engine="manifold"), ())
+    for width in (0.0, 0.001, 0.002, 0.003):
+        assert failure(moved(z=-0.02 - TIP + 0.02), width, slotted) in (Failure.SLIPS, Failure.NOT_REACHED)
 
 
 def test_a_contact_on_the_finger_but_beside_the_pad_does_not_hold() -> None:
