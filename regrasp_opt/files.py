@@ -7,6 +7,7 @@ import logging
 import os
 import shutil
 import struct
+import sys
 import tempfile
 import zlib
 from collections.abc import Iterable, Iterator
@@ -36,6 +37,22 @@ def report_outside(source: Path, named: Iterable[Path], folders: Iterable[Path] 
         more = f" and {len(outside) - 1} more" if len(outside) > 1 else ""
         text = "%s names '%s'%s outside its folder, which is read too; look at %s if you did not write the file"
         logger.warning(text, source, outside[0], more, "it" if len(outside) == 1 else "them")
+
+
+@contextmanager
+def captured_stderr() -> Iterator[list[str]]:
+    """Keep what C++ libraries print to the process's stderr off the screen; its lines are in the list afterwards."""
+    sys.stderr.flush()
+    lines, saved = list[str](), os.dup(2)
+    with tempfile.TemporaryFile() as sink:
+        os.dup2(sink.fileno(), 2)
+        try:
+            yield lines
+        finally:
+            os.dup2(saved, 2)
+            os.close(saved)
+            sink.seek(0)
+            lines += sink.read().decode(errors="replace").splitlines()
 
 
 @contextmanager

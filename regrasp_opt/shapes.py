@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
+import coal
 import numpy as np
 
 from regrasp_opt.conventions import FloatArray, IntArray
@@ -39,6 +41,25 @@ class Mesh:
 
 
 Shape = Box | Cylinder | Mesh
+
+
+def mesh_geometry(vertices: FloatArray, faces: IntArray) -> Any:
+    """Return a triangle mesh as a Coal bounding-volume hierarchy, concave parts included."""
+    model = coal.BVHModelOBBRSS()
+    model.beginModel(len(faces), len(vertices))
+    model.addVertices(np.asarray(vertices, dtype=np.float64))
+    model.addTriangles(np.asarray(faces, dtype=np.int64))
+    model.endModel()
+    return model
+
+
+def shape_geometry(shape: Shape) -> Any:
+    """Return `shape` as a Coal geometry; its pose stays with the caller."""
+    if isinstance(shape, Box):
+        return coal.Box(*[float(s) for s in shape.size])
+    if isinstance(shape, Cylinder):
+        return coal.Cylinder(shape.radius, shape.length)
+    return mesh_geometry(shape.vertices, shape.faces)
 
 
 def surface_points(shape: Shape) -> FloatArray:

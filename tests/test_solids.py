@@ -6,7 +6,7 @@ import pytest
 import trimesh
 
 from regrasp_opt.conventions import translation
-from regrasp_opt.feasibility.geometry import mesh_geometry
+from regrasp_opt.shapes import mesh_geometry
 from regrasp_opt.solids import Solid, distance, find_shells, nested
 
 BOX = trimesh.creation.box((1, 1, 1))

@@ -16,12 +16,12 @@ import pinocchio as pin
 
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, invert
 from regrasp_opt.errors import GraspError
-from regrasp_opt.feasibility.geometry import mesh_geometry, static_bodies
+from regrasp_opt.feasibility.geometry import static_bodies
 from regrasp_opt.feasibility.scene import CollisionScene
 from regrasp_opt.feasibility.standing import standing_problem
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel
-from regrasp_opt.shapes import surface_points
+from regrasp_opt.shapes import mesh_geometry, surface_points
 from regrasp_opt.solids import Solid, nested
 from regrasp_opt.workcell import Workcell
 

@@ -2,8 +2,8 @@
 
 The gripper's fingers are boxes swept from the grasp width to the width at which the gripper approaches, so one test
 covers every opening between the two. What touches by design is not tested: fingers and cup against the object (the
-grasp sampler has proved them free but for the contact), the object against the table it stands on, the robot's base
-against what it is mounted on.
+grasp sampler has proved them free but for the contact), the object against the table it stands on, what stands still
+against each other; for the robot's own bodies see `regrasp_opt.workcell.pairs`.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ import numpy as np
 import pinocchio as pin
 
 from regrasp_opt.conventions import FloatArray
-from regrasp_opt.feasibility.geometry import mesh_geometry, shape_geometry
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.robots.queries import settle_queries
+from regrasp_opt.shapes import mesh_geometry, shape_geometry
 from regrasp_opt.solids import Containment, overlap
 from regrasp_opt.workcell import Workcell
+from regrasp_opt.workcell.pairs import arm_pairs
 
 _WORLD = 0
 
@@ -35,8 +36,7 @@ class CollisionScene:
         self.model = robot.model
         self.geometry = robot.collision.copy()
         self._T_base_world = pin.SE3(workcell.T_base_world)
-        arm = range(self.geometry.ngeoms)
-        moving = [i for i in arm if self._joint(i) != _WORLD]
+        moving = [i for i in range(self.geometry.ngeoms) if self._joint(i) != _WORLD]
 
         tip = robot.model.frames[robot.model.getFrameId(robot.tip_frame)]
         self._tip_joint, self._T_joint_tip = tip.parentJoint, tip.placement
@@ -59,9 +59,9 @@ class CollisionScene:
         pairs += [(i, self.object, clearance.arm) for i in reversed(moving)]
         pairs += [(i, j, clearance.gripper) for i in gripper for j in self.obstacles]
         pairs += [(i, j, clearance.arm) for i in reversed(moving) for j in self.obstacles]
-        others = [j for j in arm if self._joint(j) != self._tip_joint]
-        pairs += [(i, j, clearance.self_collision) for i in gripper for j in others]
-        pairs += [(i, j, clearance.self_collision) for i, j in robot.self_collision_pairs()]
+        near = arm_pairs(workcell)
+        pairs += [(i, j, margin) for i in gripper for j, margin in near.tool]
+        pairs += near.links
         self._robot, self._pairs = robot, [(i, j) for i, j, _ in pairs]
         for i, j in self._pairs:
             self.geometry.addCollisionPair(pin.CollisionPair(i, j))
@@ -72,7 +72,7 @@ class CollisionScene:
         self._boxes_first = pin.BroadPhaseManager_NaiveCollisionManager(self.model, self.geometry, self.geometry_data)
         self._inside = Containment(self.model, self.data, self.geometry, [(i, j) for i, j, _ in pairs])
         self._placed = b""
-        surroundings = {self.table, self.object, *self.obstacles}
+        surroundings = {self.table, self.object, *self.obstacles, *robot.obstacles}
         self._measured = np.array([(i, j, k) for k, (i, j, _) in enumerate(pairs) if j in surroundings])
         self._centers, self._radii = self._bounding_spheres()
 
@@ -127,8 +127,8 @@ class CollisionScene:
         return str(self.geometry.geometryObjects[index].name).rpartition("/")[2]
 
     def is_obstacle(self, index: int) -> bool:
-        """Return whether the body `index` is an obstacle of the workcell."""
-        return index in self.obstacles
+        """Return whether the body `index` is an obstacle of the workcell, or stands still in the robot's own file."""
+        return index in self.obstacles or index in self._robot.obstacles
 
     def clearance(self, q: FloatArray) -> float:
         """Return the least distance at `q` between arm or gripper and table, obstacles or (arm only) object [m].

@@ -13,9 +13,9 @@ import coal
 import numpy as np
 
 from regrasp_opt.conventions import FloatArray, invert
-from regrasp_opt.feasibility.geometry import shape_geometry
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.robots import Robot
+from regrasp_opt.shapes import shape_geometry
 from regrasp_opt.workcell import Workcell
 
 _ON_AXIS = 1e-6

@@ -16,12 +16,12 @@ import coal
 import numpy as np
 
 from regrasp_opt.conventions import FloatArray
-from regrasp_opt.feasibility.geometry import mesh_geometry, shape_geometry
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.robots import Robot
 from regrasp_opt.robots.casadi_distances import capsule_distance, point_box_distance
 from regrasp_opt.robots.casadi_kinematics import joint_placements
-from regrasp_opt.shapes import Box, Shape
+from regrasp_opt.shapes import Shape, mesh_geometry, shape_geometry
+from regrasp_opt.workcell.pairs import arm_pairs
 
 SPACING = 0.01
 """Balls along a capsule are no denser than this [m]; thicker capsules have them a radius apart."""
@@ -87,7 +87,7 @@ def _box_around(geometry: Any) -> tuple[FloatArray, FloatArray]:
 def configuration_rows(problem: RegraspProblem) -> Rows:
     """Return the distances of arm and gripper, a function of ``q`` (dof,), ``T`` (4, 4) T_world_object, ``width``."""
     cell = problem.workcell
-    robot, effector, clearance = cell.robot, cell.end_effector, cell.clearance
+    robot, effector, clearance, near = cell.robot, cell.end_effector, cell.clearance, arm_pairs(cell)
     q, T, width = ca.SX.sym("q", robot.dof), ca.SX.sym("T", 4, 4), ca.SX.sym("width")
     T_world_base = ca.SX(ca.DM(cell.T_world_base))
     T_joint = [T_world_base @ placement for placement in joint_placements(robot.model, q)]
@@ -111,12 +111,13 @@ def configuration_rows(problem: RegraspProblem) -> Rows:
         rows.append((_between(body, held), f"{body.name} and object", True, clearance.arm))
     for bodies, needed in ((moving, clearance.arm), (gripper, clearance.gripper)):
         for body in bodies:
-            for obstacle in cell.obstacles:
+            for obstacle in map(_solid, cell.obstacles):
                 name = f"{body.name} and {obstacle.name}"
                 rows += [(distance, name, True, needed) for distance in _to_obstacle(body, obstacle)]
-    others = [capsule for capsule, joint in zip(arm, joints, strict=True) if joint != tip.parentJoint]
-    pairs = [(a, b) for a in gripper for b in others] + [(arm[i], arm[j]) for i, j in robot.self_collision_pairs()]
-    rows += [(_between(a, b), f"{a.name} and {b.name}", False, clearance.self_collision) for a, b in pairs]
+    still = _own_obstacles(problem)
+    for a, j, needed in [(a, j, c) for a in gripper for j, c in near.tool] + [(arm[i], j, c) for i, j, c in near.links]:
+        distances = _to_obstacle(a, still[j]) if j in still else [_between(a, arm[j])]
+        rows += [(distance, f"{a.name} and {arm[j].name}", j in still, needed) for distance in distances]
     return _rows("clearances", [q, T, width], ["q", "T", "width"], rows)
 
 
@@ -127,10 +128,10 @@ def object_rows(problem: RegraspProblem) -> Rows:
     held = covering_capsule("object", mesh_geometry(problem.object.vertices, problem.object.faces)).moved(T)
     T_world_base = ca.SX(ca.DM(cell.T_world_base))
     capsules, joints = _arm_capsules(cell.robot)
-    base = [c.moved(T_world_base) for c, joint in zip(capsules, joints, strict=True) if joint == 0]
-    needed = cell.clearance.gripper
+    needed, still = cell.clearance.gripper, _own_obstacles(problem)
+    base = [c.moved(T_world_base) for i, c in enumerate(capsules) if joints[i] == 0 and i not in still]
     rows = [(_between(held, body), f"object and {body.name}", False, needed) for body in base]
-    for obstacle in cell.obstacles:
+    for obstacle in (*still.values(), *map(_solid, cell.obstacles)):
         rows += [(d, f"object and {obstacle.name}", False, needed) for d in _to_obstacle(held, obstacle)]
     return _rows("object_clearances", [T], ["T"], rows)
 
@@ -157,17 +158,31 @@ def _between(a: Capsule, b: Capsule) -> Any:
     return capsule_distance(a.a, a.b, a.radius, b.a, b.b, b.radius)
 
 
-def _to_obstacle(body: Capsule, obstacle: Shape) -> list[Any]:
+class _Solid(NamedTuple):
+    name: str
+    geometry: Any
+    pose: FloatArray
+
+
+def _solid(shape: Shape) -> _Solid:
+    return _Solid(shape.name, shape_geometry(shape), shape.pose)
+
+
+def _own_obstacles(problem: RegraspProblem) -> dict[int, _Solid]:
+    """Return the bodies of the robot that count as obstacles, in the world, by their index."""
+    cell = problem.workcell
+    items = {i: cell.robot.collision.geometryObjects[i] for i in sorted(cell.robot.obstacles)}
+    poses = {i: cell.T_world_base @ item.placement.homogeneous for i, item in items.items()}
+    return {i: _Solid(item.name, item.geometry, poses[i]) for i, item in items.items()}
+
+
+def _to_obstacle(body: Capsule, obstacle: _Solid) -> list[Any]:
     """Return distances [m] of a world capsule to an obstacle, the least of which bounds the true one from below."""
-    if not isinstance(obstacle, Box):
-        return [_between(body, _world_capsule(obstacle))]
+    if not isinstance(obstacle.geometry, coal.Box):
+        return [_between(body, covering_capsule(obstacle.name, obstacle.geometry).moved(obstacle.pose))]
     R, p = ca.SX(ca.DM(obstacle.pose[:3, :3])), ca.SX(ca.DM(obstacle.pose[:3, 3]))
-    half = ca.SX(ca.DM(np.asarray(obstacle.size) / 2))
+    half = ca.SX(ca.DM(np.array(obstacle.geometry.halfSide)))
     count = 1 + math.ceil(body.length / max(body.radius, SPACING))
     radius = math.hypot(body.radius, body.length / max(count - 1, 1) / 2)
     centers = [body.a + k / max(count - 1, 1) * (body.b - body.a) for k in range(count)]
     return [point_box_distance(R.T @ (center - p), half) - radius for center in centers]
-
-
-def _world_capsule(obstacle: Shape) -> Capsule:
-    return covering_capsule(obstacle.name, shape_geometry(obstacle)).moved(obstacle.pose)

@@ -2,28 +2,27 @@
 
 Every transition gives two layers of states, its free configurations at pick and at place, for each of its grasps. The
 shortest path through the layers is the least joint travel, found by dynamic programming: from pick to place the grasp
-stays, from place to the next pick it may change. Bounds on clearance and manipulability take states out beforehand.
+stays, from place to the next pick it may change. Each joint takes the whole turns that bring it nearest to where it
+was. Bounds on clearance and manipulability take states out beforehand.
 """
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.distance import cdist
 
 from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.feasibility import FeasibilityChecker
 from regrasp_opt.motion.joint_measures import ROUNDING, Bounds, JointChoice, Measure, manipulability, travel
 
+Nearest = Callable[[FloatArray, FloatArray], FloatArray]
+"""Moves configurations (..., dof), the first argument, by whole turns as near to the second as can be."""
+
 
 class States(NamedTuple):
-    """Free configurations `q` (S, dof) at one pose, each with its grasp (S,), clearance (S,) [m], manipulability (S,).
-
-    Whole turns of a joint are states of their own.
-    """
+    """Free configurations `q` (S, dof) at a pose, each with grasp (S,), clearance (S,) [m] and manipulability (S,)."""
 
     grasp_ids: IntArray
     q: FloatArray
@@ -38,16 +37,12 @@ class States(NamedTuple):
 def states_at(checker: FeasibilityChecker, T: FloatArray, grasp_ids: IntArray) -> States:
     """Return all free configurations of `grasp_ids` (K,) at object pose `T` (4, 4)."""
     robot = checker.workcell.robot
-    ids, q, clearance = [], [], []
-    for grasp_id, branches in zip(grasp_ids.tolist(), checker.configurations(T, grasp_ids), strict=True):
-        for branch in branches:
-            turned = robot.equivalents(branch)
-            q.append(turned)
-            ids += [grasp_id] * len(turned)
-            clearance += [checker.clearance(T, grasp_id, branch)] * len(turned)
-    stacked = np.concatenate(q) if q else np.zeros((0, robot.dof))
-    skill = manipulability(robot, stacked) if len(stacked) else np.zeros(0)
-    return States(np.array(ids, dtype=np.int64), stacked, np.array(clearance, dtype=np.float64), skill)
+    branches = checker.configurations(T, grasp_ids)
+    ids = np.repeat(grasp_ids, [len(q) for q in branches])
+    q = np.concatenate([np.zeros((0, robot.dof)), *branches])
+    clearance = [checker.clearance(T, int(g), x) for g, x in zip(ids, q, strict=True)]
+    skill = manipulability(robot, q) if len(q) else np.zeros(0)
+    return States(ids.astype(np.int64), q, np.array(clearance, dtype=np.float64), skill)
 
 
 def best_choices(
@@ -56,6 +51,7 @@ def best_choices(
     bounds: Bounds,
     home: FloatArray | None = None,
     count: int = 1,
+    near: Nearest = lambda q, to: q + 0.0 * to,
 ) -> list[JointChoice]:
     """Return up to `count` choices through the `layers` (pick, place) of all transitions, the best first.
 
@@ -70,15 +66,17 @@ def best_choices(
         States have at least this clearance and manipulability; bounds on travel and cost are not looked at.
     home : (dof,), optional
         Where the arm starts and ends.
+    near : callable
+        `Robot.nearest_equivalent`, where joints may turn by whole turns.
     """
     layers = _kept(_kept(layers, "clearance", bounds.clearance), "manipulability", bounds.manipulability)
-    best = _best(layers, minimise, home)
+    best = _best(layers, minimise, home, near)
     if best is None or count == 1:
         return [] if best is None else [best]
     others = []
     for i, grasp_id in enumerate(best.grasp_ids):
         without = [tuple(s.where(s.grasp_ids != grasp_id) for s in pair) for pair in layers[i : i + 1]]
-        other = _best([*layers[:i], *without, *layers[i + 1 :]], minimise, home)  # type: ignore[list-item]
+        other = _best([*layers[:i], *without, *layers[i + 1 :]], minimise, home, near)  # type: ignore[list-item]
         others += [] if other is None else [other]
     others.sort(key=lambda choice: travel(choice.q.reshape(-1, choice.q.shape[-1]), home))
     return [best, *others][:count]
@@ -99,10 +97,12 @@ def unreachable(layers: Sequence[tuple[States, States]], bounds: Bounds) -> str:
     return "no shared grasp keeps to the bounds on clearance and manipulability at once"
 
 
-def _best(layers: Sequence[tuple[States, States]], minimise: Measure, home: FloatArray | None) -> JointChoice | None:
+def _best(
+    layers: Sequence[tuple[States, States]], minimise: Measure, home: FloatArray | None, near: Nearest
+) -> JointChoice | None:
     if minimise != "travel":
         layers = _kept(layers, minimise, _bottleneck(layers, minimise))
-    return _shortest(layers, home)
+    return _shortest(layers, home, near)
 
 
 def _kept(layers: Sequence[tuple[States, States]], name: str, floor: float) -> list[tuple[States, States]]:
@@ -119,24 +119,27 @@ def _bottleneck(layers: Sequence[tuple[States, States]], name: str) -> float:
     return float(best)
 
 
-def _shortest(layers: Sequence[tuple[States, States]], home: FloatArray | None) -> JointChoice | None:
+def _shortest(layers: Sequence[tuple[States, States]], home: FloatArray | None, near: Nearest) -> JointChoice | None:
     states = [s for pair in layers for s in pair]
     if any(len(s.q) == 0 for s in states):
         return None
-    ends = [np.zeros(len(s.q)) if home is None else np.linalg.norm(s.q - home, axis=1) for s in (states[0], states[-1])]
-    value, parents = ends[0], []
-    for number, (before, after) in enumerate(itertools.pairwise(states)):
-        length = value[:, None] + cdist(before.q, after.q)
+    q = states[0].q if home is None else near(states[0].q, home)
+    value = np.zeros(len(q)) if home is None else np.linalg.norm(q - home, axis=1)
+    turned, parents = [q], []
+    for number, after in enumerate(states[1:]):
+        moved = near(after.q[None], q[:, None])
+        length = value[:, None] + np.linalg.norm(moved - q[:, None], axis=2)
         if number % 2 == 0:
-            length[before.grasp_ids[:, None] != after.grasp_ids[None]] = np.inf
+            length[states[number].grasp_ids[:, None] != after.grasp_ids[None]] = np.inf
         parents.append(length.argmin(axis=0))
-        value = length.min(axis=0)
-    last = int(np.argmin(value + ends[1]))
+        q, value = moved[parents[-1], np.arange(len(after.q))], length.min(axis=0)
+        turned.append(q)
+    last = int(np.argmin(value if home is None else value + np.linalg.norm(q - home, axis=1)))
     if not np.isfinite(value[last]):
         return None
     path = [last]
     for parent in reversed(parents):
-        path.append(int(parent[path[-1]]))
-    q = np.array([s.q[i] for s, i in zip(states, reversed(path), strict=True)])
-    ids = np.array([s.grasp_ids[i] for s, i in zip(states, reversed(path), strict=True)])
+        path.insert(0, int(parent[path[0]]))
+    ids = np.array([s.grasp_ids[i] for s, i in zip(states, path, strict=True)])
+    q = np.array([x[i] for x, i in zip(turned, path, strict=True)])
     return JointChoice(ids[::2], q.reshape(len(layers), 2, -1))

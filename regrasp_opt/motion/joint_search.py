@@ -158,10 +158,11 @@ class JointSearch:
             (states_at(self.problem.checker, a, ids), states_at(self.problem.checker, b, ids))
             for (a, b), ids in zip(itertools.pairwise(self.poses(xi)), shared, strict=True)
         ]
-        choices = best_choices(layers, self.minimise, self.bounds, self.home, self.options.starts)
+        rest = self.home, self.options.starts, self.problem.workcell.robot.nearest_equivalent
+        choices = best_choices(layers, self.minimise, self.bounds, *rest)
         if not choices:
             self.trouble = unreachable(layers, self.bounds)
-            choices = best_choices(layers, self.minimise, Bounds(), self.home, self.options.starts)
+            choices = best_choices(layers, self.minimise, Bounds(), *rest)
         return choices
 
     def _solved(self, xi: FloatArray, choice: JointChoice) -> Candidate | None:

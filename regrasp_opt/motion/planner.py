@@ -158,20 +158,18 @@ class _Transition:
                     yield Hold(planned.grasp_id, pick, place)
 
     def _nearest(self, holds: Iterable[Hold]) -> list[Hold]:
-        """Return the first of `holds`, whole turns added, by how long straight moves would take."""
+        """Return the first of `holds`, whole turns added joint by joint, by how long straight moves would take."""
         robot, tools, start = self._tools.plan.problem.workcell.robot, self._tools, self._start.q
         homeward = tools.home if self._index == len(tools.plan.transitions) - 1 else None
         found = list[tuple[float, Hold]]()
         for hold in holds:
-            turns = robot.equivalents(hold.q_pick) - hold.q_pick
-            turns = turns[[robot.within_limits(hold.q_place + turn) for turn in turns]]
-            if len(turns) == 0:
-                continue
-            cost = np.full(len(turns), self._time(hold.q_place - hold.q_pick))
-            cost += 0.0 if start is None else self._time(hold.q_pick + turns - start)
-            cost += 0.0 if homeward is None else self._time(hold.q_place + turns - homeward)
-            best = turns[cost.argmin()]
-            found.append((float(cost.min()), Hold(hold.grasp_id, hold.q_pick + best, hold.q_place + best)))
+            ends = np.stack([hold.q_pick, hold.q_place])
+            ways = [end - q for end, q in zip((start, homeward), ends, strict=True) if end is not None]
+            turns = robot.nearest_equivalent(ends, ends + np.mean(ways or [np.zeros(robot.dof)], axis=0)) - ends
+            ends = ends + turns[np.abs(turns).argmin(axis=0), np.arange(robot.dof)]  # what both ends have room for
+            moves = [end - q for end, q in zip((start, homeward), ends, strict=True) if end is not None]
+            cost = sum(float(self._time(move)) for move in (ends[1] - ends[0], *moves))
+            found.append((cost, Hold(hold.grasp_id, *ends)))
         return [hold for _, hold in sorted(found, key=lambda each: each[0])][: self._options.candidates]
 
     def _time(self, change: FloatArray) -> FloatArray:

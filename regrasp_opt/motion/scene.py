@@ -17,10 +17,11 @@ import pinocchio as pin
 from scipy.spatial import ConvexHull
 
 from regrasp_opt.conventions import FloatArray, invert
-from regrasp_opt.feasibility.geometry import mesh_geometry, shape_geometry
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.robots.queries import settle_queries
+from regrasp_opt.shapes import mesh_geometry, shape_geometry
 from regrasp_opt.solids import Containment
+from regrasp_opt.workcell.pairs import arm_pairs
 
 LEVELS = 0.032 / 2.0 ** np.arange(10)
 """Motion between two samples [m] that each level of a setting allows for: 32 mm down to 0.06 mm."""
@@ -154,15 +155,14 @@ class _Bodies:
         top = self._add(table.name, shape_geometry(table), cell.T_base_world @ table.pose, False)
 
         near = cell.clearance
-        gripper, moving = [*palm, *fingers], [i for i in arm if self._joint(i) != _WORLD]
-        below = [i for i in arm if self._joint(i) != self.tip_joint]
+        gripper, moving, own = [*palm, *fingers], [i for i in arm if self._joint(i) != _WORLD], arm_pairs(cell)
         pairs = [(i, j, near.gripper) for i in gripper for j in (top, *fixed)]
         pairs += [(i, j, near.arm) for i in reversed(moving) for j in (top, *fixed)]
-        pairs += [(i, j, near.self_collision) for i in gripper for j in below]
-        pairs += [(i, j, near.self_collision) for i, j in robot.self_collision_pairs()]
+        pairs += [(i, j, distance) for i in gripper for j, distance in own.tool]
+        pairs += own.links
         if held:
-            pairs += [(self._object, i, near.arm) for i in below if i in moving]
-            pairs += [(self._object, i, near.gripper) for i in (*fixed, *(b for b in below if b not in moving))]
+            pairs += [(self._object, i, distance) for i, distance in own.held]
+            pairs += [(self._object, i, near.gripper) for i in fixed]
             pairs += [(self._object, top, near.gripper)]
         else:
             pairs += [(i, self._object, near.arm) for i in reversed(moving)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -14,7 +15,11 @@ import trimesh
 from regrasp_opt.conventions import FloatArray, invert
 from regrasp_opt.files import atomic_path
 from regrasp_opt.planning import RegraspPlan
+from regrasp_opt.robots import Robot
+from regrasp_opt.robots.urdf import parse_xml
 from regrasp_opt.shapes import Box, Cylinder, Shape
+
+logger = logging.getLogger(__name__)
 
 SCHEMA = 1
 
@@ -25,15 +30,15 @@ DENSITY = 500.0
 def save_scene(plan: RegraspPlan, folder: str | os.PathLike[str]) -> None:
     """Write the scene of `plan` into `folder`.
 
-    ``robot.urdf`` is the robot's own file with absolute mesh names; ``gripper.urdf`` has a prismatic joint for each
-    finger, whose position is half the opening; ``surroundings.urdf`` holds table and obstacles in the world frame;
-    ``object.urdf`` and ``object.stl`` are the object. ``scene.json`` says how they are put together and where the
-    object stands.
+    ``robot.urdf`` is the robot's own file with absolute mesh names, those of packages too; ``gripper.urdf`` has a
+    prismatic joint for each finger, whose position is half the opening; ``surroundings.urdf`` holds table and obstacles
+    in the world frame; ``object.urdf`` and ``object.stl`` are the object. ``scene.json`` says how they are put together
+    and where the object stands.
     """
     folder = Path(folder)
     problem = plan.problem
     cell, robot = problem.workcell, problem.workcell.robot
-    _write_xml(_robot(Path(robot.urdf_path)), folder / "robot.urdf")
+    _write_xml(_robot(robot), folder / "robot.urdf")
     _write_xml(_gripper(plan, folder), folder / "gripper.urdf")
     fixed = [("table", cell.table.shape), *((s.name, s) for s in cell.obstacles)]
     _write_xml(_surroundings(fixed, folder), folder / "surroundings.urdf")
@@ -57,13 +62,19 @@ def save_scene(plan: RegraspPlan, folder: str | os.PathLike[str]) -> None:
         temporary.write_text(json.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def _robot(path: Path) -> ET.Element:
-    """Return the robot's URDF with the relative names of its meshes made absolute."""
-    root = ET.fromstring(path.read_bytes())
-    for mesh in root.iter("mesh"):
-        name = mesh.get("filename", "")
-        if "://" not in name:
-            mesh.set("filename", str((path.resolve().parent / name).resolve()))
+def _robot(robot: Robot) -> ET.Element:
+    """Return the robot's URDF with absolute mesh names, less visuals without their mesh and what xacro left behind."""
+    root = parse_xml(robot.urdf)
+    for parent in list(root.iter()):
+        for child in [child for child in parent if ":" in child.tag]:
+            parent.remove(child)
+    root.attrib.setdefault("name", robot.name)
+    for link in root.iterfind("link"):
+        for visual in link.findall("visual"):
+            lost = [m.get("filename", "") for m in visual.iter("mesh") if not os.path.isfile(m.get("filename", ""))]
+            if lost:
+                logger.warning("mesh '%s' of %s is not found; robot.urdf goes without it", lost[0], robot.urdf_path)
+                link.remove(visual)
     return root
 
 

@@ -26,11 +26,12 @@ from regrasp_opt.conventions import (
     invert,
     pose_distance,
 )
-from regrasp_opt.feasibility.geometry import mesh_geometry, shape_geometry
 from regrasp_opt.grasps import hold_failures
 from regrasp_opt.planning.plan_data import PlanData, Transition
 from regrasp_opt.planning.problem import RegraspProblem
+from regrasp_opt.shapes import mesh_geometry, shape_geometry
 from regrasp_opt.solids import Solid, distance
+from regrasp_opt.workcell.pairs import arm_pairs
 
 
 class Body(NamedTuple):
@@ -255,15 +256,16 @@ class _Scene:
         gripper = (*palm, *closed, *opened)
         held = Body("object", self.object, T)
         moving = [body for body, joint in zip(arm, joints, strict=True) if joint > 0]
-        before_tip = [body for body, joint in zip(arm, joints, strict=True) if joint < cell.robot.dof]
-        clearance = cell.clearance
+        clearance, near, still = cell.clearance, arm_pairs(cell), cell.robot.obstacles
         pairs = [(a, b, clearance.arm) for a in moving for b in (*self.fixed, held)]
         pairs += [(a, b, clearance.gripper) for a in gripper for b in self.fixed]
+        own = [(a, arm[j], required) for a in gripper for j, required in near.tool if j in still]
+        pairs += own + [(arm[i], arm[j], required) for i, j, required in near.links if j in still]
         surroundings = len(pairs)
         pairs += [(a, held, 0.0) for a in (*palm, *opened)]
         pairs += [(held, b, clearance.gripper) for b, joint in zip(arm, joints, strict=True) if joint == 0]
-        pairs += [(a, b, clearance.self_collision) for a in gripper for b in before_tip]
-        pairs += [(arm[i], arm[j], clearance.self_collision) for i, j in cell.robot.self_collision_pairs()]
+        pairs += [(a, arm[j], required) for a in gripper for j, required in near.tool if j not in still]
+        pairs += [(arm[i], arm[j], required) for i, j, required in near.links if j not in still]
         pairs += [(held, b, clearance.gripper) for b in self.fixed[1:]]
         distances = np.array([distance(a.solid, b.solid, a.T_world, b.T_world) for a, b, _ in pairs])
         margins = distances - np.array([required for *_, required in pairs])

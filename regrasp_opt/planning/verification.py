@@ -119,12 +119,10 @@ def _nearest_free_pair(
     checker: FeasibilityChecker,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the free pick and place configurations (dof,) with the smallest largest joint move between them."""
-    turned = [checker.workcell.robot.equivalents(q) for q in place[0]]
-    branch = np.repeat(np.arange(len(turned)), [len(t) for t in turned])
-    targets = np.concatenate(turned)
-    move = np.abs(pick[0][:, None] - targets[None]).max(axis=2)
+    targets = checker.workcell.robot.nearest_equivalent(place[0][None], pick[0][:, None])
+    move = np.abs(pick[0][:, None] - targets).max(axis=2)
     for index in np.argsort(move, axis=None, kind="stable").tolist():
-        i, j = divmod(index, len(targets))
-        if pick[1](i) and place[1](int(branch[j])):
-            return pick[0][i], targets[j]
+        i, j = divmod(index, len(place[0]))
+        if pick[1](i) and place[1](j):
+            return pick[0][i], targets[i, j]
     raise AssertionError("a grasp that was proved feasible at both poses has no free pair of configurations")

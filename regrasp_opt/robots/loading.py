@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
-import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -17,8 +16,11 @@ import pinocchio as pin
 
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.errors import UnknownNameError, WorkcellError
+from regrasp_opt.files import captured_stderr
 from regrasp_opt.robots import urdf
+from regrasp_opt.robots.bodies import collision_bodies
 from regrasp_opt.robots.kinematics import chain_of_model
+from regrasp_opt.robots.mesh_names import settle_meshes
 from regrasp_opt.robots.robot import Robot
 from regrasp_opt.robots.self_test import inverse_kinematics
 
@@ -27,15 +29,18 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
+logger = logging.getLogger(__name__)
+
 ROBOT_NAMES = ("nova2",)
 """The built-in robots."""
-LARGEST_OFFSET = 100.0
-"""How far from each other joints are believed to be [m]."""
+
+NAMED = 5
+"""How many links without a body are named."""
 
 
 @dataclass(frozen=True)
 class RobotSource:
-    """What a robot is made from; it travels between processes in the robot's place."""
+    """What a robot is made from; it travels between processes in the robot's place. `xml` has absolute mesh names."""
 
     name: str
     path: str
@@ -66,7 +71,7 @@ def load_robot(
     tip : str, optional
         Link that carries the tool; by default ``tool0``, ``flange`` or ``ee_link``, else where the arm ends.
     package_dirs : iterable of paths
-        Folders in which ``package://name`` is looked up, besides those above the URDF file.
+        Where ``package://name`` is looked up besides the folders above the URDF file: packages, or folders of them.
     home : sequence of float, optional
         Rest configuration (dof,) [rad, m]; by default the built-in one, else 0, or mid-range where 0 is
         outside.
@@ -93,7 +98,14 @@ def load_robot(
         ignored |= frozenset(frozenset(pair) for pair in defaults["ignore_collisions"])
     elif isinstance(name_or_path, str) and path.suffix.lower() != ".urdf" and path.name == name_or_path:
         raise UnknownNameError("robot", name_or_path, ROBOT_NAMES)
-    return build_robot(_source(name, path, tip, package_dirs, home, ignored))
+    robot = build_robot(_source(name, path, tip, package_dirs, home, ignored))
+    bare = robot.links_without_body()
+    if not robot.collision.ngeoms:
+        logger.warning("%s has no <collision> element; nothing of the arm is tested for collision", path)
+    elif bare:
+        names = ", ".join(bare[:NAMED]) + (f" and {len(bare) - NAMED} more links" if len(bare) > NAMED else "")
+        logger.warning("%s has no <collision> element in %s; what has none is not tested for collision", path, names)
+    return robot
 
 
 def _source(
@@ -108,9 +120,8 @@ def _source(
     parents = urdf.joint_of_child(root, path)
     tip = tip or urdf.default_tip(root, parents)
     chain = urdf.chain_to(tip, root, parents, path)
-    urdf.settle_joints(chain, path)
-    urdf.settle_names(root, chain, path)
-    urdf.settle_meshes(root, path, package_dirs)
+    urdf.report_limits(chain, path)
+    settle_meshes(root, path, package_dirs)
     links = [link.get("name", "") for link in root.iterfind("link")]
     for pair in ignored:
         for link in sorted(pair):
@@ -134,18 +145,20 @@ def _source(
 
 def build_robot(source: RobotSource) -> Robot:
     """Return the robot described by `source`."""
-    model, collision = _pinocchio_models(source)
+    root, path = urdf.parse_xml(source.xml), Path(source.path)
+    model = _pinocchio_model(urdf.kinematics(root, source.joints, path), path)
     lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
     home = _home(source, lower, upper)
     chain = chain_of_model(model, source.tip)
     farthest = float(np.abs(np.append(chain.placements[:, :3, 3], chain.tip[:3, 3])).max())
-    if farthest > LARGEST_OFFSET:
+    if farthest > urdf.LARGEST_OFFSET:
         raise WorkcellError(f"robot file {source.path} has joints {farthest:.3g} m apart; give its lengths in metres")
     return Robot(
         name=source.name,
         urdf_path=source.path,
+        urdf=source.xml,
         model=model,
-        collision=collision,
+        collision=collision_bodies(root, model, path),
         tip_frame=source.tip,
         chain=chain,
         ik=inverse_kinematics(source.name, chain, lower, upper, home),
@@ -158,18 +171,21 @@ def build_robot(source: RobotSource) -> Robot:
     )
 
 
-def _pinocchio_models(source: RobotSource) -> tuple[pin.Model, pin.GeometryModel]:
-    """Return model and collision bodies with all joints locked but those of the chain."""
-    try:
-        with urdf.meshes_written_anew(source.xml) as xml, _quiet_stderr():
-            full = pin.buildModelFromXML(xml)
-            bodies = pin.buildGeomFromUrdfString(full, xml, pin.GeometryType.COLLISION)
-        locked = [joint for joint in range(1, full.njoints) if full.names[joint] not in source.joints]
-        model, (collision,) = pin.buildReducedModel(full, [bodies], locked, pin.neutral(full))
-    except (ValueError, RuntimeError) as error:
-        reason = " ".join(str(error).split())
-        raise WorkcellError(f"robot file {source.path} is no URDF that Pinocchio can read: {reason}") from error
-    return model, collision
+def _pinocchio_model(xml: bytes, path: Path) -> pin.Model:
+    with captured_stderr() as said:
+        try:
+            model = pin.buildModelFromXML(xml.decode())
+        except (ValueError, RuntimeError) as error:
+            model, reason = None, error
+    if model is not None:
+        links = {frame.name for frame in model.frames if frame.type == pin.FrameType.BODY}
+        for frame in model.frames:  # links are looked up by name alone, and a joint may have the same
+            if frame.type != pin.FrameType.BODY and frame.name in links:
+                frame.name += " (joint)"
+        return model
+    told = [line.split("Error:")[1] for line in said if "Error:" in line] or [str(reason)]
+    text = "; ".join(" ".join(part.split()) for part in told)
+    raise WorkcellError(f"robot file {path} is not a URDF that Pinocchio can read: {text}") from reason
 
 
 def _home(source: RobotSource, lower: FloatArray, upper: FloatArray) -> FloatArray:
@@ -189,17 +205,3 @@ def _home(source: RobotSource, lower: FloatArray, upper: FloatArray) -> FloatArr
             f"{lower[i]:g} to {upper[i]:g}; give a value within them"
         )
     return home
-
-
-@contextmanager
-def _quiet_stderr() -> Iterator[None]:
-    """Keep what C++ libraries print to the process's stderr off the screen; they raise exceptions as well."""
-    sys.stderr.flush()
-    saved = os.dup(2)
-    with tempfile.TemporaryFile() as sink:
-        os.dup2(sink.fileno(), 2)
-        try:
-            yield
-        finally:
-            os.dup2(saved, 2)
-            os.close(saved)

@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import product
 from typing import Any
 
 import coal
@@ -24,6 +23,7 @@ from regrasp_opt.robots.ik import IkSolutions, InverseKinematics
 from regrasp_opt.robots.kinematics import SerialChain
 from regrasp_opt.robots.queries import settle_queries
 from regrasp_opt.robots.self_test import IkTest, self_test
+from regrasp_opt.robots.urdf import parse_xml
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +36,8 @@ class Robot:
         Built-in name, or the name in the URDF.
     urdf_path : str
         The file it was read from.
+    urdf : bytes
+        Its XML, with absolute mesh names.
     model : pin.Model
         Pinocchio model of the joints from base to tip; all others are locked. ``nq == nv == dof``.
     collision : pin.GeometryModel
@@ -60,6 +62,7 @@ class Robot:
 
     name: str
     urdf_path: str
+    urdf: bytes
     model: pin.Model
     collision: pin.GeometryModel
     tip_frame: str
@@ -113,16 +116,23 @@ class Robot:
         """
         return self.ik.solve(np.asarray(T_base_tip, dtype=np.float64).reshape(-1, 4, 4))
 
-    def equivalents(self, q: ArrayLike) -> FloatArray:
-        """Return the configurations (K, dof) within limits that differ from `q` (dof,) by whole turns."""
+    def equivalents(self, q: ArrayLike) -> list[FloatArray]:
+        """Return for each joint its values (K,) within limits that differ from that of `q` (dof,) by whole turns."""
         q = np.asarray(q, dtype=np.float64)
+        return [x + math.tau * np.arange(a, b + 1) for x, a, b in zip(q, *self._turns(q), strict=True)]
+
+    def nearest_equivalent(self, q: ArrayLike, to: ArrayLike) -> FloatArray:
+        """Return `q` (..., dof) moved by whole turns within limits, each joint as near to that of `to` as can be."""
+        q, to = np.asarray(q, dtype=np.float64), np.asarray(to, dtype=np.float64)
+        moved: FloatArray = q + math.tau * np.clip(np.round((to - q) / math.tau), *self._turns(q))
+        return moved
+
+    def _turns(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the least and the most whole turns that can be added to `q` (..., dof)."""
         low = np.ceil((self.lower - JOINT_LIMIT_TOLERANCE - q) / math.tau)
         high = np.floor((self.upper + JOINT_LIMIT_TOLERANCE - q) / math.tau)
-        values = [
-            [x] if slides else [x + math.tau * k for k in np.arange(a, b + 1)]
-            for x, slides, a, b in zip(q, self.chain.prismatic, low, high, strict=True)
-        ]
-        return np.array(list(product(*values))).reshape(-1, self.dof)
+        turning = ~self.chain.prismatic
+        return low * turning, high * turning
 
     def within_limits(self, q: ArrayLike) -> bool:
         """Return whether all joints of `q` (dof,) stand within their limits."""
@@ -134,28 +144,58 @@ class Robot:
         """Return the name of the link that carries the collision body of index `geometry`."""
         return str(self.model.frames[self.collision.geometryObjects[geometry].parentFrame].name)
 
+    @cached_property
+    def neighbours(self) -> tuple[frozenset[str], ...]:
+        """The two links that each joint connects, from the base to the tip."""
+        frames = self.model.frames
+        joints = [i for i, frame in enumerate(frames) if frame.type == pin.FrameType.JOINT]
+        moved = {frame.parentFrame: frame.name for frame in frames if frame.type == pin.FrameType.BODY}
+        return tuple(frozenset((frames[frames[j].parentFrame].name, moved[j])) for j in joints)
+
+    @cached_property
+    def obstacles(self) -> frozenset[int]:
+        """Indices of the bodies that stand still, but for those of the link in which the first joint turns."""
+        items = self.collision.geometryObjects
+        return frozenset(
+            i for i, item in enumerate(items) if item.parentJoint == 0 and self.link_of(i) not in self.neighbours[0]
+        )
+
+    def links_without_body(self) -> list[str]:
+        """Return the links that move and have no body: those that are seen, and those after a joint that moves none."""
+        frames, solid = self.model.frames, {self.link_of(index) for index in range(self.collision.ngeoms)}
+        seen = {link.get("name") for link in parse_xml(self.urdf).iterfind("link[visual]")}
+        filled = {item.parentJoint for item in self.collision.geometryObjects}
+        links = [frame for frame in frames if frame.type == pin.FrameType.BODY and frame.parentJoint]
+        first = {f.name for f in links if frames[f.parentFrame].type == pin.FrameType.JOINT}
+        bare = [f for f in links if f.name not in solid]
+        return [f.name for f in bare if f.name in seen or (f.name in first and f.parentJoint not in filled)]
+
     def self_collision_pairs(self) -> list[tuple[int, int]]:
         """Return index pairs of collision bodies to test against each other.
 
-        All pairs on different joints that are not neighbours in the chain, less the `ignored` pairs of links.
+        All that move with different joints, less those of links which one joint connects and of the `ignored` links.
         """
         joints = [geometry.parentJoint for geometry in self.collision.geometryObjects]
         links = [self.link_of(index) for index in range(len(joints))]
+        untested = {*self.neighbours, *self.ignored}
         return [
             (i, j)
             for i in range(len(joints))
             for j in range(i + 1, len(joints))
-            if abs(joints[i] - joints[j]) > 1 and frozenset((links[i], links[j])) not in self.ignored
+            if joints[i] != joints[j] and frozenset((links[i], links[j])) not in untested
         ]
 
-    def colliding_links(self, q: ArrayLike) -> tuple[str, str] | None:
-        """Return the first two links that collide with each other at `q` (dof,), or None."""
+    def colliding_links(self, q: ArrayLike, clearances: ArrayLike = 0.0) -> tuple[str, str] | None:
+        """Return the first two links that collide with each other at `q` (dof,), or None.
+
+        `clearances` are the distances [m] that count as collision, one of all or one for each self-collision pair.
+        """
         geometry = self.collision.copy()
         pairs = self.self_collision_pairs()
         for i, j in pairs:
             geometry.addCollisionPair(pin.CollisionPair(i, j))
         data = geometry.createData()
-        settle_queries(data, np.zeros(len(pairs)))
+        settle_queries(data, np.broadcast_to(clearances, len(pairs)))
         q = np.asarray(q, dtype=np.float64)
         if not pin.computeCollisions(self.model, self.model.createData(), geometry, data, q, False):
             return None

@@ -1,30 +1,59 @@
-"""URDF files made ready for Pinocchio: joints checked, mesh files found, the chain to the tip picked.
+"""URDF files made ready for Pinocchio: XML read, limits checked, the chain to the tip picked.
 
-First step of `load_robot`. Pinocchio ignores mimic joints, gives continuous joints two coordinates and
-looks for relative mesh files in the current folder; each of these is settled here, in the XML.
+First step of `load_robot`. Pinocchio gets links and joints only: joints that do not lead to the tip are fixed at their
+neutral position, continuous joints have limits, and bodies (`regrasp_opt.robots.bodies`) are read apart from it.
 """
 
 from __future__ import annotations
 
 import difflib
+import logging
 import math
-import os
-import tempfile
+import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from xml.parsers import expat
 
-import trimesh
+from regrasp_opt.errors import WorkcellError
 
-from regrasp_opt.errors import MeshError, WorkcellError
-from regrasp_opt.files import report_outside
-from regrasp_opt.mesh_files import MESH_SUFFIXES, read_triangles
+logger = logging.getLogger(__name__)
 
 PREFERRED_TIPS = ("tool0", "flange", "ee_link")
 """Link names taken as the tip, the first one present, when none is asked for."""
 
 MOVING = {"revolute", "continuous", "prismatic"}
+
+LARGEST_OFFSET = 100.0
+"""How far from each other joints are believed to be, and how far a joint to slide [m]."""
+
+TWO_TURNS = 2 * math.tau + 0.1
+MOST_TURNS = 10
+"""Joints turn no farther from zero. Limits beyond are taken for degrees, as are whole numbers beyond two turns."""
+
+SPEEDS = {"revolute": math.pi, "prismatic": 0.25}
+"""Largest speed of a joint whose URDF states none [rad/s, m/s]."""
+
+
+def parse_xml(content: bytes) -> ET.Element:
+    """Return the root element of `content`, read as leniently as urdfdom does.
+
+    Prefixes need no declaration, comments may hold ``--``, and blank lines may come first.
+
+    Raises
+    ------
+    ValueError
+        If it is not XML.
+    """
+    content = re.sub(rb"<!--.*?-->", lambda comment: b"\n" * comment[0].count(b"\n"), content, flags=re.DOTALL)
+    tree, parser = ET.TreeBuilder(), expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = tree.start, tree.end
+    parser.CharacterDataHandler = tree.data
+    try:
+        parser.Parse(content.lstrip() if content.lstrip().startswith(b"<?xml") else content, True)
+    except (expat.ExpatError, LookupError) as error:
+        raise ValueError(str(error)) from error
+    return tree.close()
 
 
 def read_urdf(path: Path) -> ET.Element:
@@ -33,15 +62,15 @@ def read_urdf(path: Path) -> ET.Element:
     Raises
     ------
     WorkcellError
-        If the file is missing, is no XML, or holds no robot.
+        If the file is missing, is not XML, or holds no robot.
     """
     try:
         content = path.read_bytes()
     except (OSError, ValueError) as error:
         raise WorkcellError(f"robot file {path} cannot be read; give the path of a URDF file") from error
     try:
-        root = ET.fromstring(content)
-    except (ET.ParseError, ValueError, LookupError) as error:
+        root = parse_xml(content)
+    except ValueError as error:
         raise WorkcellError(f"robot file {path} is not valid XML: {error}") from error
     if root.tag != "robot" or root.find("link") is None:
         raise WorkcellError(f"robot file {path} has no <robot> with links; give a URDF file (expand xacro first)")
@@ -113,7 +142,7 @@ def chain_to(tip: str, root: ET.Element, joints: dict[str, ET.Element], path: Pa
     if tip not in links:
         raise WorkcellError(f"{path}: no link '{tip}' for the tip; known: {', '.join(closest(tip, links))}")
     chain: list[ET.Element] = []
-    seen = {tip}
+    seen, end = {tip}, tip
     while tip in joints:
         joint = joints[tip]
         name, kind = joint.get("name"), joint.get("type")
@@ -130,58 +159,70 @@ def chain_to(tip: str, root: ET.Element, joints: dict[str, ET.Element], path: Pa
             raise WorkcellError(f"{path}: the joints form a loop at link '{tip}'; a robot must be a tree")
         seen.add(tip)
     if not chain:
-        raise WorkcellError(f"{path}: no moving joint leads to the tip; choose a link at the end of the arm as the tip")
+        raise WorkcellError(
+            f"{path}: no moving joint leads to the tip '{end}'; choose a link at the end of the arm as the tip"
+        )
     return chain[::-1]
 
 
-def settle_joints(chain: Sequence[ET.Element], path: Path) -> None:
-    """Check the limits of the `chain`; turn continuous joints into revolute ones of +-2 pi, in place.
-
-    Raises
-    ------
-    WorkcellError
-        If a joint has no limits, or its lower limit is not below its upper limit.
-    """
-    for joint in chain:
-        limit = joint.find("limit")
-        if joint.get("type") == "continuous":
-            joint.set("type", "revolute")
-            limit = ET.SubElement(joint, "limit") if limit is None else limit
-            for key, value in (("lower", -math.tau), ("upper", math.tau)):
-                limit.set(key, repr(value))
-            for key, value in (("velocity", math.pi), ("effort", 0.0)):
-                limit.set(key, limit.get(key, repr(value)))
-        bounds = [math.nan if limit is None else _number(limit.get(key, "0")) for key in ("lower", "upper")]
-        if not (all(map(math.isfinite, bounds)) and bounds[0] < bounds[1]):
-            raise WorkcellError(
-                f"{path}: joint '{joint.get('name')}' needs a <limit> with finite lower and upper, lower < upper"
-            )
-
-
-def settle_names(root: ET.Element, chain: Sequence[ET.Element], path: Path) -> None:
-    """Rename joints beside the `chain` that are called like a link, in place: Pinocchio looks both up by name alone.
-
-    Raises
-    ------
-    WorkcellError
-        If a joint of the chain is called like a link.
-    """
-    links = {link.get("name") for link in root.iterfind("link")}
-    taken = links | {joint.get("name") for joint in root.iterfind("joint")}
+def kinematics(root: ET.Element, chain: Iterable[str], path: Path) -> bytes:
+    """Return links and joints of the robot as XML for Pinocchio, all joints fixed but those named in `chain`."""
+    plain = ET.Element("robot", {"name": path.stem, **root.attrib})
+    for link in root.iterfind("link"):
+        ET.SubElement(plain, "link", name=link.get("name", "")).extend(link.iterfind("inertial"))
     for joint in root.iterfind("joint"):
-        name = joint.get("name", "")
-        if name not in links:
-            continue
-        if joint in chain:
-            raise WorkcellError(f"{path}: a link and a joint of the arm are both called '{name}'; rename one of them")
-        new = name
-        while new in taken:
-            new += "_joint"
-        taken.add(new)
-        joint.set("name", new)
-        for mimic in root.iterfind("joint/mimic"):
-            if mimic.get("joint") == name:
-                mimic.set("joint", new)
+        kind = "prismatic" if joint.get("type") == "prismatic" else "revolute"
+        moves = joint.get("name", "") in chain
+        copy = ET.SubElement(plain, "joint", name=joint.get("name", ""), type=kind if moves else "fixed")
+        tags = ("parent", "child", "origin", "axis") if moves else ("parent", "child", "origin")
+        copy.extend(part for tag in tags for part in joint.iterfind(tag))
+        if moves:
+            ET.SubElement(copy, "limit", {key: repr(value) for key, value in _limits(joint, path).items()})
+    return ET.tostring(plain)
+
+
+def _limits(joint: ET.Element, path: Path) -> dict[str, float]:
+    """Return lower, upper, velocity and effort of a moving joint; a continuous one gets +-2 pi.
+
+    Raises
+    ------
+    WorkcellError
+        If a joint has no limits, its lower limit is not below its upper limit, or they are in another unit.
+    """
+    where, kind = f"{path}: joint '{joint.get('name')}'", joint.get("type")
+    limit, axis = joint.find("limit"), joint.find("axis")
+    if axis is not None and not any(map(_number, axis.get("xyz", "1 0 0").split())):
+        raise WorkcellError(f"{where} has no axis; give it a direction")
+    given = {} if limit is None else {key: _number(value) for key, value in limit.attrib.items()}
+    speed = given.get("velocity", SPEEDS["prismatic" if kind == "prismatic" else "revolute"])
+    low, high = (-math.tau, math.tau) if kind == "continuous" else (given.get(key, 0.0) for key in ("lower", "upper"))
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise WorkcellError(f"{where} needs a <limit> with finite lower and upper, lower < upper")
+    if not math.isfinite(speed):
+        raise WorkcellError(f"{where} has a velocity limit that is not a finite number; give rad/s or m/s")
+    far = max(abs(low), abs(high))
+    if kind == "prismatic" and far > LARGEST_OFFSET:
+        raise WorkcellError(f"{where} slides from {low:g} to {high:g} m; give its limits in metres")
+    if kind == "revolute" and far > TWO_TURNS and (far.is_integer() or far > MOST_TURNS * math.tau):
+        raise WorkcellError(
+            f"{where} turns from {low:g} to {high:g} rad: are these degrees? Give radians ({math.radians(low):.4g} to "
+            f'{math.radians(high):.4g}), or type="continuous" if nothing stops it'
+        )
+    return {"lower": low, "upper": high, "velocity": speed, "effort": 0.0}
+
+
+def report_limits(chain: Sequence[ET.Element], path: Path) -> None:
+    """Log a line where more than two turns may be meant in degrees, and one where no speed is given."""
+    limits = {str(joint.get("name")): _limits(joint, path) for joint in chain}
+    turning = [str(joint.get("name")) for joint in chain if joint.get("type") == "revolute"]
+    far = [name for name in turning if max(-limits[name]["lower"], limits[name]["upper"]) > TWO_TURNS]
+    if far:
+        text = "%s: joints may turn by more than two turns (%s); if their limits are degrees, give radians"
+        logger.warning(text, path, ", ".join(far))
+    silent = [str(j.get("name")) for j in chain if j.find("limit[@velocity]") is None and j.get("type") != "continuous"]
+    if silent:
+        text = "%s states no velocity limit (%s); %.3g rad/s is assumed for turning and %.3g m/s for sliding joints"
+        logger.warning(text, path, ", ".join(silent), SPEEDS["revolute"], SPEEDS["prismatic"])
 
 
 def _number(text: str) -> float:
@@ -189,73 +230,6 @@ def _number(text: str) -> float:
         return float(text)
     except ValueError:
         return math.nan
-
-
-def settle_meshes(root: ET.Element, path: Path, package_dirs: Iterable[str | os.PathLike[str]]) -> None:
-    """Make the file names of all collision meshes absolute, in place.
-
-    ``package://name/...`` is looked up in `package_dirs` and in every folder above the URDF file, a
-    relative name beside the URDF file. Meshes elsewhere than in the folder of the URDF file, in its own
-    package and in `package_dirs` are reported in one warning.
-
-    Raises
-    ------
-    WorkcellError
-        If a mesh file is not found or broken.
-    """
-    folders = [*map(Path, package_dirs), *path.resolve().parents]
-    found: dict[Path, None] = {}
-    for mesh in root.iterfind("link/collision/geometry/mesh"):
-        file = _mesh_file(mesh.get("filename", ""), path, folders)
-        mesh.set("filename", str(file.resolve()))
-        found[file] = None
-    own = [folder for folder in path.resolve().parents if (folder / "package.xml").is_file()][:1]
-    report_outside(path, found, [*map(Path, package_dirs), *own])
-    for file in found:
-        if file.suffix.lower() in MESH_SUFFIXES:
-            _check_mesh(file, path)
-
-
-def _mesh_file(name: str, path: Path, folders: Sequence[Path]) -> Path:
-    """Return the file that `name` means in the URDF file at `path`; packages are looked up in `folders`."""
-    scheme, _, rest = name.rpartition("://")
-    relative = Path(rest)
-    if scheme in ("package", "model") and relative.parts:
-        inner = Path(*relative.parts[1:])
-        candidates = [folder / relative for folder in folders]
-        candidates += [folder / inner for folder in folders if folder.name == relative.parts[0]]
-    else:
-        candidates = [path.resolve().parent / relative]
-    found = next((candidate for candidate in candidates if os.path.isfile(candidate)), None)
-    if found is None:
-        raise WorkcellError(f"{path}: mesh '{name}' is not found; name the folder of its package in package_dirs")
-    return found
-
-
-def _check_mesh(file: Path, path: Path) -> None:
-    """Raise a WorkcellError if a mesh is broken."""
-    try:
-        read_triangles(file)
-    except MeshError as error:
-        raise WorkcellError(f"{path}: a collision mesh cannot be used: {error}") from error
-
-
-@contextmanager
-def meshes_written_anew(xml: bytes) -> Iterator[str]:
-    """Yield `xml`, whose mesh files `settle_meshes` has checked, with copies of them that hold sound triangles only.
-
-    The library that reads meshes for Pinocchio takes other lines of a damaged file for good than we do, and may then
-    read memory that is not its own. Formats that we cannot read stay as they are.
-    """
-    root = ET.fromstring(xml)
-    with tempfile.TemporaryDirectory() as folder:
-        for number, mesh in enumerate(root.iterfind("link/collision/geometry/mesh")):
-            file = Path(mesh.get("filename", ""))
-            if file.suffix.lower() in MESH_SUFFIXES:
-                copy = Path(folder) / f"{number}.stl"
-                trimesh.Trimesh(*read_triangles(file), process=False).export(copy)
-                mesh.set("filename", str(copy))
-        yield ET.tostring(root, encoding="unicode")
 
 
 def closest(name: str, known: Iterable[str]) -> list[str]:

@@ -4,71 +4,45 @@ from __future__ import annotations
 
 import coal
 import numpy as np
-import pinocchio as pin
 
 from regrasp_opt.conventions import FloatArray
-from regrasp_opt.shapes import Box, Cylinder, Shape
+from regrasp_opt.shapes import Shape, shape_geometry
 from regrasp_opt.workcell.model import Workcell
-
-Body = tuple[str, int, coal.CollisionObject]
-"""Name, joint it moves with (0 for the base), and the body in the world frame."""
-
-
-def coal_geometry(shape: Shape) -> coal.CollisionGeometry:
-    """Return the Coal geometry of `shape`, about its own pose."""
-    if isinstance(shape, Box):
-        return coal.Box(*map(float, shape.size))
-    if isinstance(shape, Cylinder):
-        return coal.Cylinder(float(shape.radius), float(shape.length))
-    mesh = coal.BVHModelOBBRSS()
-    mesh.beginModel(len(shape.faces), len(shape.vertices))
-    mesh.addVertices(np.asarray(shape.vertices, dtype=np.float64))
-    mesh.addTriangles(np.asarray(shape.faces, dtype=np.int64))
-    mesh.endModel()
-    return mesh
+from regrasp_opt.workcell.pairs import arm_pairs
 
 
 def collision_at_home(workcell: Workcell) -> tuple[str, str] | None:
     """Return the names of two bodies that collide at the robot's home, or None.
 
-    Tested are the robot with itself, and all that moves (links and end-effector, the jaw wide open) with
-    the end-effector, the table and the obstacles. The base may touch what it stands on, and the last two
-    links the end-effector.
+    Tested are the robot with itself, the end-effector (the jaw wide open) with the robot, and both with table and
+    obstacles. The robot keeps the clearance that it needs from what stands still in its own file.
     """
-    robot = workcell.robot
-    within = robot.colliding_links(robot.home)
+    robot, effector, pairs = workcell.robot, workcell.end_effector, arm_pairs(workcell)
+    within = robot.colliding_links(robot.home, [clearance for *_, clearance in pairs.links])
     if within is not None:
         return within
-    T_world_joints = workcell.T_world_base @ robot.link_transforms(robot.home)
-    T_world_tip = workcell.T_world_base @ robot.forward(robot.home)
+    frames = workcell.T_world_base @ np.concatenate([np.eye(4)[None], robot.link_transforms(robot.home)])
     links = [
-        (robot.link_of(index), body.parentJoint, _placed(body.geometry, T @ body.placement.homogeneous))
-        for index, body in enumerate(robot.collision.geometryObjects)
-        for T in [T_world_joints[body.parentJoint - 1] if body.parentJoint else workcell.T_world_base]
+        (robot.link_of(i), _placed(body.geometry, frames[body.parentJoint] @ body.placement.homogeneous))
+        for i, body in enumerate(robot.collision.geometryObjects)
     ]
-    tool_shapes = (
-        *workcell.end_effector.body,
-        *workcell.end_effector.finger_boxes(workcell.end_effector.max_opening),
-    )
-    tool = [_body(shape, robot.dof + 1, T_world_tip) for shape in tool_shapes]
-    fixed = [_body(shape, 0, np.eye(4)) for shape in (workcell.table.shape, *workcell.obstacles)]
-    return _first_hit([*links, *tool], fixed, 1) or _first_hit(links, tool, 2)
-
-
-def _first_hit(bodies: list[Body], others: list[Body], apart: int) -> tuple[str, str] | None:
-    """Return the first pair that collides, of those whose joints are at least `apart` in the chain."""
-    for name, joint, body in bodies:
-        for other_name, other_joint, other in others:
-            if abs(joint - other_joint) >= apart and coal.collide(
-                body, other, coal.CollisionRequest(), coal.CollisionResult()
-            ):
-                return name, other_name
+    T_world_tip = workcell.T_world_base @ robot.forward(robot.home)
+    tool = [_body(shape, T_world_tip) for shape in (*effector.body, *effector.finger_boxes(effector.max_opening))]
+    fixed = [_body(shape, np.eye(4)) for shape in (workcell.table.shape, *workcell.obstacles)]
+    moving = [link for link, body in zip(links, robot.collision.geometryObjects, strict=True) if body.parentJoint]
+    tests = [(a, b, 0.0) for a in (*moving, *tool) for b in fixed]
+    tests += [(links[i], b, clearance) for i, clearance in pairs.tool for b in tool]
+    request = coal.CollisionRequest()
+    for (name, body), (other_name, other), clearance in tests:
+        request.security_margin = clearance
+        if coal.collide(body, other, request, coal.CollisionResult()):
+            return name, other_name
     return None
 
 
-def _body(shape: Shape, joint: int, T_world_parent: FloatArray) -> Body:
-    return shape.name, joint, _placed(coal_geometry(shape), T_world_parent @ shape.pose)
+def _body(shape: Shape, T_world_parent: FloatArray) -> tuple[str, coal.CollisionObject]:
+    return shape.name, _placed(shape_geometry(shape), T_world_parent @ shape.pose)
 
 
 def _placed(geometry: coal.CollisionGeometry, T: FloatArray) -> coal.CollisionObject:
-    return coal.CollisionObject(geometry, coal.Transform3s(pin.SE3(T).rotation, T[:3, 3]))
+    return coal.CollisionObject(geometry, coal.Transform3s(T[:3, :3], T[:3, 3]))

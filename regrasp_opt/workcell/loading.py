@@ -128,8 +128,9 @@ def _check(workcell: Workcell, path: Path) -> None:
     hit = collision_at_home(workcell)
     if hit is not None:
         raise WorkcellError(
-            f"{path}: '{hit[0]}' collides with '{hit[1]}' while the robot is at home; choose another "
-            "'robot.home', or add the pair to 'robot.ignore_collisions' if both are links made to touch"
+            f"{path}: '{hit[0]}' collides with '{hit[1]}', or is nearer than its clearance, while the robot is at "
+            "home; choose another 'robot.home', or add the pair to 'robot.ignore_collisions' if both are links made "
+            "to touch"
         )
 
 

@@ -100,7 +100,7 @@ def test_broken_models(refuse, tmp_path, name, content):
 def test_a_robot_that_collides_with_itself_at_home(refuse, tmp_path):
     folded = CELL.replace('model = "nova2"', 'model = "nova2"\nhome = [0, 0, 2.618, 1.5, 0, 0]')
     (tmp_path / "cell.toml").write_text(folded, encoding="utf-8")
-    said = "'link1' collides with 'link5' while the robot is at home"
+    said = "'link1' collides with 'link5', or is nearer than its clearance, while the robot is at home"
     refuse(said, "plan", "--workcell", "cell.toml", "--out", "plan.json")
     refuse(said, "prepare", "bottle", "--workcell", "cell.toml", "--out", "model")
 

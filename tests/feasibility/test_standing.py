@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from regrasp_opt.feasibility.geometry import mesh_geometry, shape_geometry, static_bodies
+from regrasp_opt.feasibility.geometry import static_bodies
 from regrasp_opt.feasibility.standing import resting_problem, standing_problem
-from regrasp_opt.shapes import Box, Cylinder, Mesh
+from regrasp_opt.shapes import Box, Cylinder, Mesh, mesh_geometry, shape_geometry
 from regrasp_opt.workcell import load_workcell
 from regrasp_opt.workcell.model import Table
 

@@ -13,16 +13,15 @@ from scipy.spatial.transform import Rotation
 from regrasp_opt import RegraspPlan, solve_sequence
 from regrasp_opt.conventions import invert, translation
 from regrasp_opt.errors import OptionError, UnknownNameError
-from regrasp_opt.feasibility.geometry import shape_geometry
 from regrasp_opt.motion import Bounds, SearchOptions, refine_plan
-from regrasp_opt.motion.joint_bodies import Capsule, _to_obstacle, covering_capsule
+from regrasp_opt.motion.joint_bodies import Capsule, _solid, _to_obstacle, covering_capsule
 from regrasp_opt.motion.joint_choice import States, best_choices, states_at, unreachable
 from regrasp_opt.motion.joint_measures import JointMeasures, first_choice, manipulability, measure_choice, travel
 from regrasp_opt.motion.joint_program import joint_functions
 from regrasp_opt.motion.joint_search import JointSearch
 from regrasp_opt.planning.tasks import random_task
 from regrasp_opt.robots import load_robot
-from regrasp_opt.shapes import Box, Cylinder, Mesh, surface_points
+from regrasp_opt.shapes import Box, Cylinder, Mesh, shape_geometry, surface_points
 
 SHORT = SearchOptions(starts=1, rounds=1)
 
@@ -141,7 +140,9 @@ def test_balls_bound_the_distance_to_a_box_from_below():
     for _ in range(60):
         a, b = rng.uniform(-1, 1, (2, 3))
         length = float(np.linalg.norm(b - a))
-        found = min(float(ca.DM(d)) for d in _to_obstacle(Capsule("link", ca.DM(a), ca.DM(b), 0.05, length), box))
+        found = min(
+            float(ca.DM(d)) for d in _to_obstacle(Capsule("link", ca.DM(a), ca.DM(b), 0.05, length), _solid(box))
+        )
         R = Rotation.align_vectors([(b - a) / length], [[0, 0, 1]])[0].as_matrix()
         body = coal.Capsule(0.05, length), coal.Transform3s(R, (a + b) / 2)
         wall = coal.Box(*box.size), coal.Transform3s(pose[:3, :3], pose[:3, 3])

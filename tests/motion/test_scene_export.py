@@ -1,6 +1,7 @@
 """Scenes of workcells with meshes: a robot's mesh, obstacles of every kind, and a tool without fingers."""
 
 import json
+import xml.etree.ElementTree as ET
 from dataclasses import replace
 
 import numpy as np
@@ -66,11 +67,26 @@ def test_meshes_are_found_from_the_folder_of_the_scene(plan, tmp_path):
     np.testing.assert_allclose(fixed["part"].placement.homogeneous, wanted, atol=1e-9)
 
 
-def test_names_of_packages_are_left_as_they_are(plan, tmp_path):
-    robot = tmp_path / "files" / "arm.urdf"
-    robot.write_text(robot.read_text("utf-8").replace('"foot.stl"', '"package://arm/foot.stl"'), encoding="utf-8")
-    save_scene(plan, tmp_path / "scene")
-    assert '"package://arm/foot.stl"' in (tmp_path / "scene" / "robot.urdf").read_text("utf-8")
+def test_names_of_packages_become_absolute_and_what_is_missing_is_left_out(plan, tmp_path, caplog):
+    here = tmp_path / "files"
+    (here / "meshes").mkdir()
+    (here / "package.xml").write_text("<package><name>arm</name></package>", encoding="utf-8")
+    for name in ("foot.stl", "part.stl"):
+        (here / "meshes" / name).write_bytes((here / name).read_bytes())
+    robot, lost = here / "arm.urdf", '<visual><geometry><mesh filename="package://gone/a.dae"/></geometry></visual>'
+    seen = lost.replace("gone/a.dae", "arm/meshes/part.stl")
+    text = robot.read_text("utf-8").replace('"foot.stl"', '"package://arm/meshes/foot.stl"')
+    text = text.replace('<link name="link1">', f'<link name="link1">{lost}{seen}<xacro:left over="1"/>')
+    robot.write_text(text.replace(' name="nova2"', ""), encoding="utf-8")
+    save_scene(
+        replace(plan, problem=replace(plan.problem, workcell=load_workcell(here / "cell.toml"))), tmp_path / "scene"
+    )
+    assert "mesh 'package://gone/a.dae' of" in caplog.text and "robot.urdf goes without it" in caplog.text
+    root = ET.parse(tmp_path / "scene" / "robot.urdf").getroot()
+    names = [mesh.get("filename") for mesh in root.iter("mesh")]
+    assert set(names) == {str(here / "meshes" / "foot.stl"), str(here / "meshes" / "part.stl")}
+    assert len(root.findall("link/visual")) == text.count("<visual>") - 1
+    assert "base_link" in bodies(tmp_path / "scene" / "robot.urdf")
 
 
 def test_a_suction_tool_has_no_fingers(tmp_path):

@@ -105,7 +105,8 @@ class Arm(Checker):
     def __init__(self, branches, blocked=(), **feasible):
         super().__init__(**feasible)
         self.rows, self.blocked = branches, blocked
-        robot = SimpleNamespace(dof=1, equivalents=lambda q: np.array([q, q - 2 * np.pi]))
+        turn = 2 * np.pi
+        robot = SimpleNamespace(dof=1, nearest_equivalent=lambda q, to: np.where(q - to > np.pi, q - turn, q + 0 * to))
         self.workcell = SimpleNamespace(robot=robot)
 
     def poses(self):

@@ -177,17 +177,28 @@ def test_the_same_poses_give_the_same_solutions(nova2, panda):
 def test_equivalents_are_all_whole_turns_within_limits(nova2):
     q = np.array([0.5, 1.0, -2.0, -3.0, 0.0, 6.0])
     found = nova2.equivalents(q)
-    expected = 2 * 1 * 1 * 2 * 1 * 2
-    assert found.shape == (expected, 6)
-    assert len(np.unique(np.round(found, 6), axis=0)) == expected
-    assert same(found, q).all()
-    assert (found >= nova2.lower).all()
-    assert (found <= nova2.upper).all()
+    assert [len(values) for values in found] == [2, 1, 1, 2, 1, 2]
+    for x, values, low, high in zip(q, found, nova2.lower, nova2.upper, strict=True):
+        assert ((values >= low) & (values <= high)).all()
+        np.testing.assert_allclose(np.exp(1j * values), np.exp(1j * x))
+        assert (np.diff(values) > 6).all()
+
+
+def test_the_nearest_equivalent_is_chosen_joint_by_joint(nova2):
+    rng = np.random.default_rng(3)
+    q, to = rng.uniform(nova2.lower, nova2.upper, (40, 1, 6)), rng.uniform(-9, 9, (30, 6))
+    near = nova2.nearest_equivalent(q, to)
+    assert near.shape == (40, 30, 6)
+    for i, j in np.ndindex(40, 30):
+        for x, wanted, values in zip(near[i, j], to[j], nova2.equivalents(q[i, 0]), strict=True):
+            assert np.abs(x - wanted) == pytest.approx(np.abs(values - wanted).min())
 
 
 def test_sliding_joints_have_no_equivalents(mixed):
     q = np.array([0.0, 0.1, 0.5, 0.0])
-    np.testing.assert_allclose(mixed.equivalents(q), [[0, 0.1, 0.5 - 2 * np.pi, 0], [0, 0.1, 0.5, 0]])
+    assert [values.tolist() for values in mixed.equivalents(q)] == [[0], [0.1], [0.5 - 2 * np.pi, 0.5], [0]]
+    np.testing.assert_allclose(mixed.nearest_equivalent(q, q + 9.0), q)
+    np.testing.assert_allclose(mixed.nearest_equivalent(q, q - 9.0), q - [0, 0, 2 * np.pi, 0])
 
 
 @given(st.floats(-20, 20), st.floats(-7, 6), st.floats(0.1, 8))
