@@ -90,6 +90,7 @@ def test_a_set_that_was_shifted_back_holds_nothing(tool: str) -> None:
         (moved(z=-0.04 - TIP - 0.001), 0.06, Failure.NOTHING_HELD),
         (moved(x=0.02 + 0.0125 - 0.003), 0.06, None),  # the object's edge, 3 mm on the sides of the pads
         (moved(x=0.02 + 0.0125 + 0.0005), 0.06, Failure.NOTHING_HELD),
+        (moved(x=0.0285, z=-0.04 - TIP + 0.004), 0.06, None),  # the object's corner, 4 mm on a corner of the pads
         (moved(x=0.2), 0.06, Failure.NOTHING_HELD),
         (moved(y=0.09), 0.06, Failure.NOTHING_HELD),
         (moved(y=0.0009), 0.06, None),
