@@ -27,6 +27,9 @@ MESH_SUFFIXES = (".stl", ".obj", ".ply", ".glb", ".dae")
 FARTHEST = 1e9
 """How far from the origin vertices may be, in the unit of the file; beyond, single precision overflows."""
 
+LARGEST_MESH = 20.0
+"""A mesh of a body that stands still is taken to be in another unit if it is longer than this [m]."""
+
 SMALLEST_BODY = 0.001
 """A body whose mesh is smaller than this was scaled twice [m]."""
 
@@ -75,16 +78,17 @@ def read_triangles(path: Path) -> tuple[FloatArray, IntArray]:
     return vertices, faces
 
 
-def unlikely_size(vertices: FloatArray, faces: IntArray, largest: float) -> tuple[str, float] | None:
+def unlikely_size(points: FloatArray, largest: float) -> tuple[str, float] | None:
     """Return a clause about the size of a body's mesh [m] and a factor that would make sense; None if it does already.
 
     Parameters
     ----------
+    points : (V, 3) array
+        Vertices that faces use [m].
     largest : float
         Longest extent that is believed [m]; five times as much for the distance from the mesh's origin.
     """
-    used = vertices[np.unique(faces)]
-    extent, far = float(np.ptp(used, axis=0).max()), float(np.abs(used).max())
+    extent, far = float(np.ptp(points, axis=0).max()), float(np.abs(points).max())
     if extent < SMALLEST_BODY:
         return f"is only {extent:.3g} m long and was perhaps scaled twice", 1000.0
     if extent <= largest and far <= 5 * largest:

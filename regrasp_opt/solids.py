@@ -128,11 +128,16 @@ class Solid:
         self.is_mesh = isinstance(geometry, coal.BVHModelBase)
 
     @cached_property
+    def faces(self) -> IntArray:
+        """Triangles (F, 3) of a mesh as indices of its vertices."""
+        corners = [self.geometry.tri_indices(i) for i in range(self.geometry.num_tris)]
+        return np.array([[t[0], t[1], t[2]] for t in corners], dtype=np.int64)
+
+    @cached_property
     def shells(self) -> Shells:
         """What is known of the inside; other bodies than meshes have no triangles: Coal knows theirs."""
         if self.is_mesh:
-            corners = [self.geometry.tri_indices(i) for i in range(self.geometry.num_tris)]
-            return find_shells(np.array(self.geometry.vertices()), np.array([[t[0], t[1], t[2]] for t in corners]))
+            return find_shells(np.array(self.geometry.vertices()), self.faces)
         middle = self.geometry.points() if isinstance(self.geometry, coal.ConvexBase) else [self.geometry.aabb_center]
         return Shells(np.mean(middle, axis=0, keepdims=True), np.zeros((0, 3, 3)), 0)
 

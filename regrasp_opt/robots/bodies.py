@@ -16,8 +16,7 @@ import pinocchio as pin
 
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.errors import MeshError, WorkcellError
-from regrasp_opt.files import captured_stderr
-from regrasp_opt.mesh_files import MESH_SUFFIXES, read_triangles
+from regrasp_opt.mesh_files import read_triangles
 from regrasp_opt.shapes import mesh_geometry
 
 SIZES = {
@@ -71,12 +70,6 @@ def _mesh(shape: ET.Element, where: str) -> Any:
     file, scale = Path(shape.get("filename", "")), _numbers(shape, "scale", 3, where, "1 1 1")
     if not scale.all():
         raise WorkcellError(f"{where} has a mesh of scale 0; give the factor to metres")
-    if file.suffix.lower() not in MESH_SUFFIXES:
-        try:
-            with captured_stderr():
-                return coal.MeshLoader().load(str(file), scale)
-        except (ValueError, RuntimeError) as error:
-            raise WorkcellError(f"{where}: mesh '{file}' cannot be read; export it as STL") from error
     try:
         vertices, faces = read_triangles(file)
     except MeshError as error:

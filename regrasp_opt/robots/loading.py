@@ -23,6 +23,7 @@ from regrasp_opt.robots.kinematics import chain_of_model
 from regrasp_opt.robots.mesh_names import settle_meshes
 from regrasp_opt.robots.robot import Robot
 from regrasp_opt.robots.self_test import inverse_kinematics
+from regrasp_opt.robots.sizes import check_sizes
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -99,6 +100,7 @@ def load_robot(
     elif isinstance(name_or_path, str) and path.suffix.lower() != ".urdf" and path.name == name_or_path:
         raise UnknownNameError("robot", name_or_path, ROBOT_NAMES)
     robot = build_robot(_source(name, path, tip, package_dirs, home, ignored))
+    check_sizes(robot)
     bare = robot.links_without_body()
     if not robot.collision.ngeoms:
         logger.warning("%s has no <collision> element; nothing of the arm is tested for collision", path)

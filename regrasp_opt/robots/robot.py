@@ -24,6 +24,7 @@ from regrasp_opt.robots.kinematics import SerialChain
 from regrasp_opt.robots.queries import settle_queries
 from regrasp_opt.robots.self_test import IkTest, self_test
 from regrasp_opt.robots.urdf import parse_xml
+from regrasp_opt.solids import Containment
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +187,7 @@ class Robot:
         ]
 
     def colliding_links(self, q: ArrayLike, clearances: ArrayLike = 0.0) -> tuple[str, str] | None:
-        """Return the first two links that collide with each other at `q` (dof,), or None.
+        """Return the first two links that collide, or of which one is inside the other, at `q` (dof,), or None.
 
         `clearances` are the distances [m] that count as collision, one of all or one for each self-collision pair.
         """
@@ -197,10 +198,11 @@ class Robot:
         data = geometry.createData()
         settle_queries(data, np.broadcast_to(clearances, len(pairs)))
         q = np.asarray(q, dtype=np.float64)
-        if not pin.computeCollisions(self.model, self.model.createData(), geometry, data, q, False):
-            return None
-        hit = next(k for k, result in enumerate(data.collisionResults) if result.isCollision())
-        return self.link_of(pairs[hit][0]), self.link_of(pairs[hit][1])
+        joints = self.model.createData()
+        pin.computeCollisions(self.model, joints, geometry, data, q, False)
+        hits = [k for k, result in enumerate(data.collisionResults) if result.isCollision()]
+        hits += Containment(self.model, joints, geometry, pairs).found(q)
+        return (self.link_of(pairs[hits[0]][0]), self.link_of(pairs[hits[0]][1])) if hits else None
 
     def fingerprint(self) -> str:
         """Return a hash of what decides feasibility: joints, limits, collision bodies and tested pairs."""

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import coal
 import numpy as np
 
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.shapes import Shape, shape_geometry
+from regrasp_opt.solids import Solid, distance
 from regrasp_opt.workcell.model import Workcell
 from regrasp_opt.workcell.pairs import arm_pairs
 
@@ -23,7 +23,7 @@ def collision_at_home(workcell: Workcell) -> tuple[str, str] | None:
         return within
     frames = workcell.T_world_base @ np.concatenate([np.eye(4)[None], robot.link_transforms(robot.home)])
     links = [
-        (robot.link_of(i), _placed(body.geometry, frames[body.parentJoint] @ body.placement.homogeneous))
+        (robot.link_of(i), Solid(body.geometry), frames[body.parentJoint] @ body.placement.homogeneous)
         for i, body in enumerate(robot.collision.geometryObjects)
     ]
     T_world_tip = workcell.T_world_base @ robot.forward(robot.home)
@@ -32,17 +32,11 @@ def collision_at_home(workcell: Workcell) -> tuple[str, str] | None:
     moving = [link for link, body in zip(links, robot.collision.geometryObjects, strict=True) if body.parentJoint]
     tests = [(a, b, 0.0) for a in (*moving, *tool) for b in fixed]
     tests += [(links[i], b, clearance) for i, clearance in pairs.tool for b in tool]
-    request = coal.CollisionRequest()
-    for (name, body), (other_name, other), clearance in tests:
-        request.security_margin = clearance
-        if coal.collide(body, other, request, coal.CollisionResult()):
+    for (name, body, T), (other_name, other, T_other), clearance in tests:
+        if distance(body, other, T, T_other) <= clearance:
             return name, other_name
     return None
 
 
-def _body(shape: Shape, T_world_parent: FloatArray) -> tuple[str, coal.CollisionObject]:
-    return shape.name, _placed(shape_geometry(shape), T_world_parent @ shape.pose)
-
-
-def _placed(geometry: coal.CollisionGeometry, T: FloatArray) -> coal.CollisionObject:
-    return coal.CollisionObject(geometry, coal.Transform3s(T[:3, :3], T[:3, 3]))
+def _body(shape: Shape, T_world_parent: FloatArray) -> tuple[str, Solid, FloatArray]:
+    return shape.name, Solid(shape_geometry(shape)), T_world_parent @ shape.pose

@@ -13,7 +13,7 @@ from regrasp_opt.conventions import FloatArray, rotation_rpy, translation
 from regrasp_opt.end_effectors import END_EFFECTOR_NAMES, EndEffector, load_end_effector
 from regrasp_opt.errors import MeshError, UnknownNameError, WorkcellError
 from regrasp_opt.files import report_outside
-from regrasp_opt.mesh_files import read_triangles, unlikely_size
+from regrasp_opt.mesh_files import LARGEST_MESH, read_triangles, unlikely_size
 from regrasp_opt.robots import Robot, load_robot
 from regrasp_opt.schemas import read_toml
 from regrasp_opt.shapes import Box, Cylinder, Mesh, Shape
@@ -30,9 +30,6 @@ WORKCELL_NAMES = tuple(f"nova2-{name}" for name in END_EFFECTOR_NAMES)
 
 LARGEST_WORKSPACE = 10.0
 """A workspace wider than this is taken to be in another unit [m]; its pose lattice would not fit into memory."""
-
-LARGEST_OBSTACLE = 20.0
-"""A mesh longer than this is taken to be in another unit [m]."""
 
 
 def load_workcell(
@@ -189,7 +186,7 @@ def _mesh(section: ObstacleSection, path: Path, pose: FloatArray) -> Mesh:
         raise WorkcellError(f"{where} cannot be read: {error}") from error
     scale = section.scale or 1.0
     vertices = vertices * scale
-    wrong = unlikely_size(vertices, faces, LARGEST_OBSTACLE)
+    wrong = unlikely_size(vertices[np.unique(faces)], LARGEST_MESH)
     if wrong is not None:
         raise WorkcellError(f"{where} {wrong[0]}; write scale = {scale * wrong[1]:g}")
     if find_shells(vertices, faces).open_parts:

@@ -1,0 +1,56 @@
+"""Whether the bodies of a robot have believable sizes, and which of its meshes have no inside."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+
+from regrasp_opt.errors import WorkcellError
+from regrasp_opt.mesh_files import LARGEST_MESH, unlikely_size
+from regrasp_opt.robots.robot import Robot
+from regrasp_opt.robots.urdf import parse_xml
+from regrasp_opt.solids import Solid
+
+logger = logging.getLogger(__name__)
+
+MOST_REACHES = 3.0
+"""A body that moves is believed to be at most so many times as long as the arm reaches."""
+
+SHORT_REACH = 0.3
+"""Arms that reach less far than this are taken to reach so far [m]: the tip may be at the last joint."""
+
+
+def check_sizes(robot: Robot) -> None:
+    """Refuse bodies out of proportion; log one line that names the links with meshes that are not closed.
+
+    Raises
+    ------
+    WorkcellError
+        If a body that moves is far longer than the arm reaches, a mesh that stands still is longer than that of any
+        obstacle may be, or a mesh is smaller than a millimetre. The message has the scale to write.
+    """
+    links = {link.get("name"): link for link in parse_xml(robot.urdf).iterfind("link")}
+    largest = MOST_REACHES * max(robot.max_reach, SHORT_REACH)
+    open_links = []
+    for index, item in enumerate(robot.collision.geometryObjects):
+        solid, link = Solid(item.geometry), robot.link_of(index)
+        number = int(item.name.rpartition("_")[2])
+        where = f"{robot.urdf_path}: link '{link}', <collision> number {number + 1}"
+        if solid.is_mesh:
+            points = np.array(item.geometry.vertices())[np.unique(solid.faces)]
+            wrong = unlikely_size(points, largest if item.parentJoint else LARGEST_MESH)
+            if wrong is not None:
+                mesh = links[link].findall("collision")[number].find("geometry/mesh")
+                given = "1 1 1" if mesh is None else mesh.get("scale", "1 1 1")
+                scale = " ".join(f"{float(word) * wrong[1]:g}" for word in given.split())
+                raise WorkcellError(f'{where}: its mesh {wrong[0]}; write scale="{scale}" in its <mesh>')
+            if solid.shells.open_parts and link not in open_links:
+                open_links.append(link)
+        elif item.parentJoint and 2 * solid.radius > largest:
+            raise WorkcellError(f"{where} is {2 * solid.radius:.4g} m across, more than the arm; give sizes in metres")
+    if open_links:
+        text = (
+            "%s: meshes of %s are not closed: their surfaces are tested, but not what is inside; close those of solids"
+        )
+        logger.warning(text, robot.urdf_path, ", ".join(open_links))
