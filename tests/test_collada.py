@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 import trimesh
-from collada import collada, polygons, polylist, triangles
+from dae_files import collada, polygons, polylist, triangles
 
 from regrasp_opt.errors import MeshError
 from regrasp_opt.mesh_files import read_triangles

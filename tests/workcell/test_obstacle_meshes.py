@@ -59,3 +59,11 @@ def test_a_mesh_that_is_not_closed_is_said_in_one_line(tmp_path, caplog):
     load(tmp_path, trimesh.Trimesh(BOX.vertices, BOX.faces[1:], process=False))
     (record,) = caplog.records
     assert "obstacle 'part' is not closed" in record.getMessage() and "\n" not in record.getMessage()
+
+
+def test_a_robot_inside_a_closed_mesh_is_said_at_home(tmp_path):
+    with pytest.raises(WorkcellError, match="collides with 'part'"):
+        load(tmp_path, trimesh.creation.box((8, 8, 8)))
+    inner = trimesh.creation.box((7, 7, 7))
+    inner.invert()
+    load(tmp_path, trimesh.util.concatenate([trimesh.creation.box((8, 8, 8)), inner]))
