@@ -28,6 +28,10 @@ SAME_VERTEX = 1e-7
 PROBE = 0.002
 """Radius of the bodies that look for a way out of a mesh [m]; Coal may miss an overlap of much less."""
 
+_HERE = coal.Transform3s()
+_ALONG = [np.roll(np.eye(3), axis - 2, axis=0) for axis in range(3)]
+"""Rotations that turn z into each axis."""
+
 _SAMPLES = 32
 """Vertices of a shell that are looked at to see whether it lies in another."""
 
@@ -120,11 +124,14 @@ class Solid:
     geometry : coal.CollisionGeometry
     radius : float
         Of a ball around it [m].
+    box : (2, 3) array
+        Low and high corner of the box around it [m].
     """
 
     def __init__(self, geometry: Any) -> None:
         geometry.computeLocalAABB()
         self.geometry, self.radius = geometry, float(geometry.aabb_radius)
+        self.box = np.array([geometry.aabb_local.min_, geometry.aabb_local.max_])
         self.is_mesh = isinstance(geometry, coal.BVHModelBase)
 
     @cached_property
@@ -147,15 +154,22 @@ class Solid:
         corners = self.shells.triangles.reshape(-1, 3)
         return np.array([corners.min(axis=0), corners.max(axis=0)]) if len(corners) else None
 
+    @cached_property
+    def volume(self) -> float:
+        """How much material there is [m^3]; 0 for a mesh that is open."""
+        if self.is_mesh:
+            return float(np.linalg.det(self.shells.triangles).sum() / 6)
+        return float(self.geometry.computeVolume())
+
     def may_hold(self, other: Solid) -> bool:
-        """Return whether `other` is small enough to be inside; says yes to all meshes."""
+        """Return whether `other` is small enough to be inside, or has a part that may be."""
         if self.bounds is None:
             return False
-        if other.is_mesh:
+        if len(other.shells.points) > 1:
             return True
-        size = np.array(other.geometry.aabb_local.max_) - np.array(other.geometry.aabb_local.min_)
-        volume = float(np.linalg.det(self.shells.triangles).sum() / 6)
-        return bool(size.min() <= np.ptp(self.bounds, axis=0).min() and other.geometry.computeVolume() <= volume)
+        mine, size = np.ptp(self.bounds, axis=0), np.ptp(other.box, axis=0)
+        thin = not other.is_mesh and size.min() > mine.min()  # primitives are as thick as their boxes
+        return not thin and bool(size.max() <= np.linalg.norm(mine) and other.volume <= self.volume)
 
     def holds(self, points: FloatArray) -> bool:
         """Return whether any of the `points` (N, 3) is inside a closed part."""
@@ -168,12 +182,14 @@ class Solid:
         """Return whether a thin body reaches from `point` (3,) out of the mesh along an axis: quicker than counting."""
         assert self.bounds is not None
         ways = (self.bounds - point) * ((-1.0,), (1.0,))  # distances to the sides
-        for side, axis in zip(*np.unravel_index(np.argsort(ways, axis=None), (2, 3)), strict=True):
-            probe = coal.Capsule(PROBE, float(ways[side, axis]) + PROBE)
-            middle = point + np.eye(3)[axis] * (2 * side - 1) * probe.halfLength
-            along = coal.Transform3s(np.roll(np.eye(3), axis - 2, axis=0), middle)  # turns z into the axis
-            request, result = coal.CollisionRequest(), coal.CollisionResult()
-            if not coal.collide(self.geometry, coal.Transform3s(), probe, along, request, result):
+        request = coal.CollisionRequest()
+        for number in np.argsort(ways, axis=None).tolist():
+            side, axis = divmod(number, 3)
+            half = (float(ways[side, axis]) + PROBE) / 2
+            middle = point.copy()
+            middle[axis] += (2 * side - 1) * half
+            probe, along = coal.Capsule(PROBE, 2 * half), coal.Transform3s(_ALONG[axis], middle)
+            if not coal.collide(self.geometry, _HERE, probe, along, request, coal.CollisionResult()):
                 return True
         return False
 
