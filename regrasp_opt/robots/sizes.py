@@ -47,8 +47,8 @@ def check_sizes(robot: Robot) -> None:
                 raise WorkcellError(f'{where}: its mesh {wrong[0]}; write scale="{scale}" in its <mesh>')
             if solid.shells.open_parts and link not in open_links:
                 open_links.append(link)
-        elif item.parentJoint and 2 * solid.radius > largest:
-            raise WorkcellError(f"{where} is {2 * solid.radius:.4g} m across, more than the arm; give sizes in metres")
+        elif item.parentJoint and (longest := float(np.ptp(solid.box, axis=0).max())) > largest:
+            raise WorkcellError(f"{where} is {longest:.4g} m long, far longer than the arm; give its sizes in metres")
     if open_links:
         text = (
             "%s: meshes of %s are not closed: their surfaces are tested, but not what is inside; close those of solids"

@@ -18,10 +18,9 @@ GOOD = {
     "<sphere radius='0.1'/>": (coal.Sphere, [0.2, 0.2, 0.2]),
     "<cylinder radius='0.1' length='0.5'/>": (coal.Cylinder, [0.2, 0.2, 0.5]),
     "<capsule radius='0.1' length='0.5'/>": (coal.Capsule, [0.2, 0.2, 0.7]),
-    "<mesh filename='part.stl'/>": (coal.BVHModelOBBRSS, [1, 2, 3]),
-    "<mesh filename='part.stl' scale='0.1 -0.2 0.3'/>": (coal.BVHModelOBBRSS, [0.1, 0.4, 0.9]),
-    "<mesh filename='part.obj' scale=' 2 2  2 '/>": (coal.BVHModelOBBRSS, [2, 4, 6]),
-    "<mesh filename='part.off'/>": (coal.BVHModelOBBRSS, [1, 2, 3]),
+    "<mesh filename='part.stl'/>": (coal.BVHModelOBBRSS, [0.1, 0.2, 0.3]),
+    "<mesh filename='part.stl' scale='0.1 -0.2 0.3'/>": (coal.BVHModelOBBRSS, [0.01, 0.04, 0.09]),
+    "<mesh filename='part.obj' scale=' 2 2  2 '/>": (coal.BVHModelOBBRSS, [0.2, 0.4, 0.6]),
 }
 BAD = {
     "<box size='0.1 0.1'/>": ': <box> has size="0.1 0.1"; give 3 numbers',
@@ -40,7 +39,7 @@ BAD = {
     "<mesh filename='part.stl' scale='0.001'/>": ': <mesh> has scale="0.001"; give 3 numbers',
     "<mesh filename='part.stl' scale='1 0 1'/>": " has a mesh of scale 0; give the factor to metres",
     "<mesh filename='empty.stl'/>": ": its mesh cannot be used: ",
-    "<mesh filename='broken.3ds'/>": "cannot be read; export it as STL",
+    "<mesh filename='broken.3ds'/>": "is no mesh file that can be read; give one of",
     "": " has 0 shapes; give it one <geometry> with one shape",
     "<sphere radius='0.1'/><box size='1 1 1'/>": " has 2 shapes; give it one <geometry> with one shape",
 }
@@ -49,8 +48,8 @@ BAD = {
 @pytest.fixture
 def arm_with(tmp_path):
     """Return a function that writes an arm of two joints whose middle link has the bodies that are given."""
-    for name in ("part.stl", "part.obj", "part.off"):
-        trimesh.creation.box((1, 2, 3)).export(tmp_path / name)
+    for name in ("part.stl", "part.obj"):
+        trimesh.creation.box((0.1, 0.2, 0.3)).export(tmp_path / name)
     for name in ("empty.stl", "broken.3ds"):
         (tmp_path / name).write_bytes(b"")
 
@@ -87,11 +86,11 @@ def test_mirrored_meshes_keep_their_outside(arm_with):
         robot = load_robot(arm_with(f"<mesh filename='part.stl' scale='{scale}'/>"))
         mesh = robot.collision.geometryObjects[0].geometry
         faces = [[int(mesh.tri_indices(i)[k]) for k in range(3)] for i in range(mesh.num_tris)]
-        assert trimesh.Trimesh(np.array(mesh.vertices()), faces, process=False).volume == pytest.approx(6)
+        assert trimesh.Trimesh(np.array(mesh.vertices()), faces, process=False).volume == pytest.approx(0.006)
 
 
 def test_turns_may_be_quaternions(arm_with):
-    robot = load_robot(arm_with("<box size='1 2 3'/>", origin="<origin quat_xyzw='0 0 2 2'/>"))
+    robot = load_robot(arm_with("<box size='0.1 0.2 0.3'/>", origin="<origin quat_xyzw='0 0 2 2'/>"))
     turned = robot.collision.geometryObjects[0].placement.rotation
     np.testing.assert_allclose(turned, [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-15)
 
