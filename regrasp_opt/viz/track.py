@@ -4,42 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from regrasp_opt.conventions import FloatArray, invert
+from regrasp_opt.motion import Segment
 from regrasp_opt.planning import RegraspPlan
 
 RATE = 25.0
 """Moments for each second of a motion."""
-
-
-class _Phase(Protocol):
-    @property
-    def name(self) -> str: ...
-    @property
-    def holds(self) -> bool: ...
-
-
-class _Trajectory(Protocol):
-    @property
-    def duration(self) -> float: ...
-    def at(self, t: ArrayLike) -> FloatArray: ...
-
-
-class _Segment(Protocol):
-    @property
-    def phase(self) -> _Phase: ...
-    @property
-    def transition(self) -> int: ...
-    @property
-    def grasp_id(self) -> int: ...
-    @property
-    def trajectory(self) -> _Trajectory: ...
-    @property
-    def jaw(self) -> tuple[float, float]: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +43,11 @@ class Track:
     T_world_object: FloatArray
 
 
-def track_of(plan: RegraspPlan, segments: Sequence[_Segment], rate: float = RATE) -> Track:
+def track_of(plan: RegraspPlan, segments: Sequence[Segment], rate: float = RATE) -> Track:
     """Return evenly spaced moments of a motion of `plan`, `rate` or a little more for each second.
 
-    `segments` are those of a `MotionPlan`, each with phase, transition, grasp_id, trajectory and jaw. The object rests
-    at its pose until a segment holds it, moves with the TCP while one does, and rests at its next pose after that.
+    `segments` are those of a `MotionPlan`. The object rests at its pose until a segment holds it, moves with the TCP
+    while one does, and rests at its next pose after that.
     """
     cell, grasps = plan.problem.workcell, plan.problem.grasps
     total = sum(s.trajectory.duration for s in segments)
