@@ -17,6 +17,8 @@ CHUNK = 1024
 """Configurations in one piece."""
 CONVERGED = 1e-9
 """Error below which a configuration is left where it is [m, rad]."""
+NEAR = 2e-4
+"""Error from which two steps with one Jacobian mostly suffice [m, rad]."""
 LARGEST_STEP = 0.5
 """How far a joint moves in one step [rad, m]."""
 LEAST_DAMPING = 1e-11
@@ -28,16 +30,20 @@ Limits = tuple[FloatArray, FloatArray]
 def polish(chain: SerialChain, T: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return `q` (B, dof) after two steps towards `T` (B, 4, 4), and the errors (B,) left [m, rad].
 
-    A Newton step in single precision, then one in double precision that reuses its factors.
+    A Newton step in single precision, then one in double precision that reuses its factors if the first one came near.
     """
     moved, errors = np.empty_like(q), np.empty(len(q))
     for part in _pieces(len(q)):
         goal, x = _goal(T[part]), np.array(q[part].T, order="C")
         error, J = _error(chain, goal.astype(np.float32), x.astype(np.float32))
-        factors = _factors(J.astype(np.float64), np.full(x.shape[1], LEAST_DAMPING))
-        for _ in range(2):
-            x = x + _capped(_solve(factors, _gradient(J, error)))
-            error = _error(chain, goal, x, jacobian=False)[0]
+        damping, far = np.full(x.shape[1], LEAST_DAMPING), bool(np.median(np.abs(error).max(0)) > NEAR)
+        factors = _factors(J.astype(np.float64), damping)
+        x = x + _capped(_solve(factors, _gradient(J, error)))
+        error, new_J = _error(chain, goal, x, jacobian=far)
+        if far:
+            J, factors = new_J, _factors(new_J, damping)
+        x = x + _capped(_solve(factors, _gradient(J, error)))
+        error = _error(chain, goal, x, jacobian=False)[0]
         moved[part], errors[part] = x.T, np.sqrt((error**2).sum(0))
     return moved, errors
 
