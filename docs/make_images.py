@@ -20,8 +20,8 @@ from selenium import webdriver
 from selenium.webdriver.common.by import By
 
 from regrasp_opt import Recipe, RegraspPlan, RegraspProblem, solve_sequence
-from regrasp_opt.benchmarks.cost_sweep import sweep
-from regrasp_opt.benchmarks.instances import Instance
+from regrasp_opt.benchmarks.harness.instances import Instance
+from regrasp_opt.benchmarks.paper.cost_sweep import sweep
 from regrasp_opt.conventions import planar_transform
 from regrasp_opt.planning.pose_text import parse_pose
 from regrasp_opt.solvers import NlpRefiner

@@ -67,7 +67,7 @@ def test_modules_are_short(path):
 def test_package_list_is_the_folders_on_disk():
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
     on_disk = {
-        "regrasp_opt." + ".".join(path.parent.relative_to(PACKAGE).parts) for path in PACKAGE.glob("*/__init__.py")
+        "regrasp_opt." + ".".join(path.parent.relative_to(PACKAGE).parts) for path in PACKAGE.rglob("*/__init__.py")
     }
     assert set(settings["packages"]) == on_disk | {"regrasp_opt"}
     assert settings["package-dir"] == {"regrasp_opt.solvers": "solvers"}

@@ -1,1 +1,1 @@
-"""Reproducible figures: the oracle, the baselines and the tables."""
+"""Reproducible figures: a harness, the experiments of the paper and further comparisons."""

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from safetensors import SafetensorError, safe_open
 
-from regrasp_opt.benchmarks.runner import Row
+from regrasp_opt.benchmarks.harness.runner import Row
 from regrasp_opt.files import UNREADABLE_ARRAYS
 
 GRACE = 60.0
@@ -34,8 +34,8 @@ from functools import partial
 from regrasp_opt.cli import interrupts, main
 interrupts.install()
 try:
-    from regrasp_opt.benchmarks import session
-    from regrasp_opt.benchmarks.oracle import Resolution
+    from regrasp_opt.benchmarks.harness import session
+    from regrasp_opt.benchmarks.harness.oracle import Resolution
     from regrasp_opt.cli import bench
     session.QUICK_GRID = Resolution(0.1, 6)
     bench.Session = partial(session.Session, names=("bottle",))

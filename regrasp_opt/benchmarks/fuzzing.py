@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from regrasp_opt.benchmarks.fuzz_targets import TARGETS, case, seeds
-from regrasp_opt.benchmarks.runner import Row
+from regrasp_opt.benchmarks.harness.runner import Row
 from regrasp_opt.errors import RegraspError
 
 SILENCE = 10.0

@@ -9,7 +9,11 @@ from typing import Any
 from regrasp_opt.benchmarks.faults import JOBS, kill_rows, signal_rows
 from regrasp_opt.benchmarks.fuzz_targets import TARGETS
 from regrasp_opt.benchmarks.fuzzing import fuzz_rows
-from regrasp_opt.benchmarks.instances import Instance, instances_hash
+from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
+from regrasp_opt.benchmarks.harness.report import Report
+from regrasp_opt.benchmarks.harness.runner import Item, Row
+from regrasp_opt.benchmarks.harness.session import Session
+from regrasp_opt.benchmarks.harness.subjects import planning_key, prepared_problem
 from regrasp_opt.benchmarks.reliability_plans import (
     CONDITIONS,
     Condition,
@@ -20,10 +24,6 @@ from regrasp_opt.benchmarks.reliability_plans import (
     workcells,
 )
 from regrasp_opt.benchmarks.reliability_tables import reliability_tables
-from regrasp_opt.benchmarks.report import Report
-from regrasp_opt.benchmarks.runner import Item, Row
-from regrasp_opt.benchmarks.session import Session
-from regrasp_opt.benchmarks.subjects import planning_key, prepared_problem
 from regrasp_opt.errors import RegraspError
 from regrasp_opt.files import content_hash
 from regrasp_opt.planning import RegraspProblem

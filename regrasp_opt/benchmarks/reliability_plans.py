@@ -17,11 +17,11 @@ from typing import Literal
 
 import numpy as np
 
-from regrasp_opt.benchmarks.hard_tiers import with_obstacles
-from regrasp_opt.benchmarks.instances import Instance, PosePool
-from regrasp_opt.benchmarks.oracle import Oracle
-from regrasp_opt.benchmarks.runner import Row
-from regrasp_opt.benchmarks.subjects import resident
+from regrasp_opt.benchmarks.harness.instances import Instance, PosePool
+from regrasp_opt.benchmarks.harness.oracle import Oracle
+from regrasp_opt.benchmarks.harness.runner import Row
+from regrasp_opt.benchmarks.harness.subjects import resident
+from regrasp_opt.benchmarks.paper.hard_tiers import with_obstacles
 from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.files import atomic_path
 from regrasp_opt.planning import Recipe, RegraspProblem, solve_sequence

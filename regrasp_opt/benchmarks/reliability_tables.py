@@ -11,9 +11,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from regrasp_opt.benchmarks.harness.report import Cell, Table
+from regrasp_opt.benchmarks.harness.runner import Row
 from regrasp_opt.benchmarks.reliability_plans import MAX_REGRASPS
-from regrasp_opt.benchmarks.report import Cell, Table
-from regrasp_opt.benchmarks.runner import Row
 
 
 def reliability_tables(rows: Sequence[Row]) -> tuple[Table, ...]:

@@ -10,22 +10,22 @@ from pathlib import Path
 from rich.markup import escape
 from rich.table import Table
 
-from regrasp_opt.benchmarks.ablations import run_ablations
-from regrasp_opt.benchmarks.cost_sweep import run_cost_sweep
-from regrasp_opt.benchmarks.cross_effector import run_cross_effector
-from regrasp_opt.benchmarks.embedding import run_embedding
-from regrasp_opt.benchmarks.hard_tiers import run_hard_tiers
-from regrasp_opt.benchmarks.joint import run_joint
-from regrasp_opt.benchmarks.motion import run_motion
-from regrasp_opt.benchmarks.multi_step import run_multi_step
-from regrasp_opt.benchmarks.one_step import run_one_step, run_unseen
-from regrasp_opt.benchmarks.parallel import dask_cluster
-from regrasp_opt.benchmarks.refiners import run_refiners
+from regrasp_opt.benchmarks.comparisons.ablations import run_ablations
+from regrasp_opt.benchmarks.comparisons.embedding import run_embedding
+from regrasp_opt.benchmarks.comparisons.joint import run_joint
+from regrasp_opt.benchmarks.comparisons.motion import run_motion
+from regrasp_opt.benchmarks.comparisons.refiners import run_refiners
+from regrasp_opt.benchmarks.comparisons.speed import run_speed
+from regrasp_opt.benchmarks.harness.parallel import dask_cluster
+from regrasp_opt.benchmarks.harness.report import Report, shown, write_document, write_page, write_report
+from regrasp_opt.benchmarks.harness.session import Session
+from regrasp_opt.benchmarks.harness.subjects import mesh_files
+from regrasp_opt.benchmarks.paper.cost_sweep import run_cost_sweep
+from regrasp_opt.benchmarks.paper.cross_effector import run_cross_effector
+from regrasp_opt.benchmarks.paper.hard_tiers import run_hard_tiers
+from regrasp_opt.benchmarks.paper.multi_step import run_multi_step
+from regrasp_opt.benchmarks.paper.one_step import run_one_step, run_unseen
 from regrasp_opt.benchmarks.reliability import run_reliability
-from regrasp_opt.benchmarks.report import Report, shown, write_document, write_page, write_report
-from regrasp_opt.benchmarks.session import Session
-from regrasp_opt.benchmarks.speed import run_speed
-from regrasp_opt.benchmarks.subjects import mesh_files
 from regrasp_opt.cli.output import make_console
 from regrasp_opt.errors import UnknownNameError
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from regrasp_opt.benchmarks.report import Report
+from regrasp_opt.benchmarks.harness.report import Report
 from regrasp_opt.errors import OptionError
 from regrasp_opt.files import atomic_path
 from regrasp_opt.planning import RegraspPlan

@@ -7,25 +7,15 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from regrasp_opt.benchmarks import (
-    ablations,
-    cost_sweep,
-    cross_effector,
-    embedding,
-    hard_tiers,
-    joint,
-    models,
-    multi_step,
-    one_step,
-    refiners,
-    runner,
-)
-from regrasp_opt.benchmarks import session as session_module
-from regrasp_opt.benchmarks.oracle import Resolution
-from regrasp_opt.benchmarks.paper import CROSS_EFFECTOR, END_EFFECTORS, MULTI_STEP, ONE_STEP
-from regrasp_opt.benchmarks.report import Report, write_report
-from regrasp_opt.benchmarks.runner import Item
-from regrasp_opt.benchmarks.session import Session
+from regrasp_opt.benchmarks.comparisons import ablations, embedding, joint, refiners
+from regrasp_opt.benchmarks.harness import models, runner
+from regrasp_opt.benchmarks.harness import session as session_module
+from regrasp_opt.benchmarks.harness.oracle import Resolution
+from regrasp_opt.benchmarks.harness.report import Report, write_report
+from regrasp_opt.benchmarks.harness.runner import Item
+from regrasp_opt.benchmarks.harness.session import Session
+from regrasp_opt.benchmarks.paper import cost_sweep, cross_effector, hard_tiers, multi_step, one_step
+from regrasp_opt.benchmarks.paper.published import CROSS_EFFECTOR, END_EFFECTORS, MULTI_STEP, ONE_STEP
 from regrasp_opt.cli.app import run
 from regrasp_opt.cli.bench import EXPERIMENTS
 from regrasp_opt.cli.plots import write_bench_plots

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from regrasp_opt.benchmarks.generation import GENERATORS, OneStepTask, distinct, generate, verdicts
-from regrasp_opt.benchmarks.instances import PosePool
+from regrasp_opt.benchmarks.harness.generation import GENERATORS, OneStepTask, distinct, generate, verdicts
+from regrasp_opt.benchmarks.harness.instances import PosePool
 from regrasp_opt.connectivity import CostOptions
 
 

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from regrasp_opt.benchmarks.instances import PosePool, choose_instances, instances_hash, planar_parameters
-from regrasp_opt.benchmarks.oracle import Oracle
+from regrasp_opt.benchmarks.harness.instances import PosePool, choose_instances, instances_hash, planar_parameters
+from regrasp_opt.benchmarks.harness.oracle import Oracle
 from regrasp_opt.conventions import planar_transform
 
 

@@ -2,9 +2,9 @@
 
 from oracles.motions import verify_motion
 
-from regrasp_opt.benchmarks import motion
-from regrasp_opt.benchmarks.report import write_report
-from regrasp_opt.benchmarks.session import Session
+from regrasp_opt.benchmarks.comparisons import motion
+from regrasp_opt.benchmarks.harness.report import write_report
+from regrasp_opt.benchmarks.harness.session import Session
 
 
 def test_motions_are_measured_and_kept(tmp_path, monkeypatch):

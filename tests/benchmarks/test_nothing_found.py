@@ -8,23 +8,16 @@ import numpy as np
 import pytest
 import trimesh
 
-from regrasp_opt.benchmarks import (
-    ablations,
-    cost_sweep,
-    hard_tiers,
-    joint,
-    models,
-    motion,
-    one_step,
-    subjects,
-)
-from regrasp_opt.benchmarks import session as session_module
-from regrasp_opt.benchmarks.instances import Instance
-from regrasp_opt.benchmarks.models import TrainingRequest, trained_energies
-from regrasp_opt.benchmarks.oracle import Resolution
-from regrasp_opt.benchmarks.planners import graph_row, plan_row
-from regrasp_opt.benchmarks.report import Report, Table
-from regrasp_opt.benchmarks.session import Session
+from regrasp_opt.benchmarks.comparisons import ablations, joint, motion
+from regrasp_opt.benchmarks.harness import models, subjects
+from regrasp_opt.benchmarks.harness import session as session_module
+from regrasp_opt.benchmarks.harness.instances import Instance
+from regrasp_opt.benchmarks.harness.models import TrainingRequest, trained_energies
+from regrasp_opt.benchmarks.harness.oracle import Resolution
+from regrasp_opt.benchmarks.harness.planners import graph_row, plan_row
+from regrasp_opt.benchmarks.harness.report import Report, Table
+from regrasp_opt.benchmarks.harness.session import Session
+from regrasp_opt.benchmarks.paper import cost_sweep, hard_tiers, one_step
 from regrasp_opt.cli.app import run
 from regrasp_opt.cli.bench import EXPERIMENTS
 from regrasp_opt.energy.training import TrainingOptions

@@ -4,8 +4,8 @@ import logging
 import numpy as np
 import pytest
 
-from regrasp_opt.benchmarks.oracle import BLOCK, Oracle, Resolution, build_oracle, grid_poses
-from regrasp_opt.benchmarks.planners import fewest_poses
+from regrasp_opt.benchmarks.harness.oracle import BLOCK, Oracle, Resolution, build_oracle, grid_poses
+from regrasp_opt.benchmarks.harness.planners import fewest_poses
 from regrasp_opt.conventions import planar_transform
 from regrasp_opt.errors import OptionError
 

@@ -13,7 +13,7 @@ from regrasp_opt.benchmarks import fuzz_targets, fuzzing
 from regrasp_opt.benchmarks.faults import JOBS, Job, finish, half_files, kill_rows, results
 from regrasp_opt.benchmarks.fuzz_targets import TARGETS, Target, case
 from regrasp_opt.benchmarks.fuzzing import fuzz_rows, read_once
-from regrasp_opt.benchmarks.instances import PosePool
+from regrasp_opt.benchmarks.harness.instances import PosePool
 from regrasp_opt.benchmarks.reliability_plans import choose_pairs, trial_rows, write_obstacles
 from regrasp_opt.benchmarks.reliability_tables import branch_coverage, mutants, reliability_tables
 from regrasp_opt.cli import check as check_command

@@ -9,14 +9,14 @@ import pytest
 import trimesh
 
 from regrasp_opt.benchmarks import faults, reliability, reliability_plans
-from regrasp_opt.benchmarks import session as session_module
 from regrasp_opt.benchmarks.faults import JOBS, Job, signal_rows
 from regrasp_opt.benchmarks.fuzz_targets import TARGETS
-from regrasp_opt.benchmarks.oracle import Resolution
+from regrasp_opt.benchmarks.harness import session as session_module
+from regrasp_opt.benchmarks.harness.oracle import Resolution
+from regrasp_opt.benchmarks.harness.report import write_report
+from regrasp_opt.benchmarks.harness.session import Session
 from regrasp_opt.benchmarks.reliability import Sizes, run_reliability
 from regrasp_opt.benchmarks.reliability_plans import Condition, workcells
-from regrasp_opt.benchmarks.report import write_report
-from regrasp_opt.benchmarks.session import Session
 from regrasp_opt.planning.problem import RegraspProblem
 
 FEW = (Condition("20 grasps", 20), Condition("12 grasps", 12))

@@ -4,7 +4,7 @@ import re
 import plotly.graph_objects as go
 import pytest
 
-from regrasp_opt.benchmarks.report import (
+from regrasp_opt.benchmarks.harness.report import (
     Figure,
     Report,
     Table,

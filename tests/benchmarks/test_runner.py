@@ -10,8 +10,8 @@ from pathlib import Path
 import joblib
 import pytest
 
-from regrasp_opt.benchmarks.parallel import dask_cluster, in_parallel
-from regrasp_opt.benchmarks.runner import Item, run_items, write_csv
+from regrasp_opt.benchmarks.harness.parallel import dask_cluster, in_parallel
+from regrasp_opt.benchmarks.harness.runner import Item, run_items, write_csv
 from regrasp_opt.errors import MeshError, OptionError
 from regrasp_opt.files import atomic_path
 

@@ -6,10 +6,10 @@ import re
 import numpy as np
 import pytest
 
-from regrasp_opt.benchmarks import kernels, speed
-from regrasp_opt.benchmarks.environment import environment
-from regrasp_opt.benchmarks.speed import Sizes
-from regrasp_opt.benchmarks.speed_page import performance_page
+from regrasp_opt.benchmarks.comparisons import kernels, speed
+from regrasp_opt.benchmarks.comparisons.speed import Sizes
+from regrasp_opt.benchmarks.comparisons.speed_page import performance_page
+from regrasp_opt.benchmarks.harness.environment import environment
 from regrasp_opt.cli.app import run
 from regrasp_opt.connectivity import CostOptions
 from regrasp_opt.connectivity.casadi_costs import plain_sequence_cost

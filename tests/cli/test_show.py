@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from command import assert_refused, in_process
 
-from regrasp_opt.benchmarks.report import Report
+from regrasp_opt.benchmarks.harness.report import Report
 from regrasp_opt.cli.plots import write_bench_plots, write_plan_plots
 from regrasp_opt.errors import OptionError
 from regrasp_opt.motion import MotionPlan, MotionStatus

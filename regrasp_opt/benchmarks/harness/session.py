@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 from rich.progress import TaskID
 
-from regrasp_opt.benchmarks.instances import PosePool
-from regrasp_opt.benchmarks.oracle import PAPER_GRID, Oracle, Resolution, build_oracle
-from regrasp_opt.benchmarks.runner import Item, Results, Row, progress_bar, run_items
-from regrasp_opt.benchmarks.subjects import (
+from regrasp_opt.benchmarks.harness.instances import PosePool
+from regrasp_opt.benchmarks.harness.oracle import PAPER_GRID, Oracle, Resolution, build_oracle
+from regrasp_opt.benchmarks.harness.runner import Item, Results, Row, progress_bar, run_items
+from regrasp_opt.benchmarks.harness.subjects import (
     DEFAULT_WORKCELL,
     Subject,
     load_bodies,

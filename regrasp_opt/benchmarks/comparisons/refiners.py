@@ -8,13 +8,13 @@ from statistics import median
 import numpy as np
 import plotly.graph_objects as go
 
-from regrasp_opt.benchmarks.hard_tiers import Condition, hard_instances
-from regrasp_opt.benchmarks.instances import Instance, choose_instances, instances_hash
-from regrasp_opt.benchmarks.planners import PLANNERS, graph_row, plan_row
-from regrasp_opt.benchmarks.report import Cell, Figure, Report, Table, mean, percent
-from regrasp_opt.benchmarks.runner import Item, Row
-from regrasp_opt.benchmarks.session import Session, error_rows, usable
-from regrasp_opt.benchmarks.subjects import planning_key
+from regrasp_opt.benchmarks.harness.instances import Instance, choose_instances, instances_hash
+from regrasp_opt.benchmarks.harness.planners import PLANNERS, graph_row, plan_row
+from regrasp_opt.benchmarks.harness.report import Cell, Figure, Report, Table, mean, percent
+from regrasp_opt.benchmarks.harness.runner import Item, Row
+from regrasp_opt.benchmarks.harness.session import Session, error_rows, usable
+from regrasp_opt.benchmarks.harness.subjects import planning_key
+from regrasp_opt.benchmarks.paper.hard_tiers import Condition, hard_instances
 from regrasp_opt.files import content_hash
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.planning.model_store import read_report

@@ -18,10 +18,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from regrasp_opt.benchmarks.report import Cell, Report, Table
-from regrasp_opt.benchmarks.runner import Item, Row
-from regrasp_opt.benchmarks.session import Session, error_rows, usable
-from regrasp_opt.benchmarks.subjects import planning_key
+from regrasp_opt.benchmarks.harness.report import Cell, Report, Table
+from regrasp_opt.benchmarks.harness.runner import Item, Row
+from regrasp_opt.benchmarks.harness.session import Session, error_rows, usable
+from regrasp_opt.benchmarks.harness.subjects import planning_key
 from regrasp_opt.connectivity import BLOCKED, SequenceObjective, exact_energy
 from regrasp_opt.connectivity.casadi_chain import cost_of_scores, pair_score
 from regrasp_opt.conventions import FloatArray

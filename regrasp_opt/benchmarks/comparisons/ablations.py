@@ -9,13 +9,13 @@ from statistics import median
 import numpy as np
 import plotly.graph_objects as go
 
-from regrasp_opt.benchmarks.generation import GENERATORS, OneStepTask, generate, verdicts
-from regrasp_opt.benchmarks.instances import Instance, choose_instances, instances_hash
-from regrasp_opt.benchmarks.models import TrainingRequest, trained_energies
-from regrasp_opt.benchmarks.report import Cell, Figure, Report, Table, mean, percent
-from regrasp_opt.benchmarks.runner import Item, Row, progress_bar
-from regrasp_opt.benchmarks.session import Session, error_rows, usable
-from regrasp_opt.benchmarks.subjects import problem_key, resident
+from regrasp_opt.benchmarks.harness.generation import GENERATORS, OneStepTask, generate, verdicts
+from regrasp_opt.benchmarks.harness.instances import Instance, choose_instances, instances_hash
+from regrasp_opt.benchmarks.harness.models import TrainingRequest, trained_energies
+from regrasp_opt.benchmarks.harness.report import Cell, Figure, Report, Table, mean, percent
+from regrasp_opt.benchmarks.harness.runner import Item, Row, progress_bar
+from regrasp_opt.benchmarks.harness.session import Session, error_rows, usable
+from regrasp_opt.benchmarks.harness.subjects import problem_key, resident
 from regrasp_opt.connectivity import CostOptions
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy

@@ -16,14 +16,14 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from regrasp_opt.benchmarks.generation import GENERATORS, OneStepTask, distinct, generate, verdicts
-from regrasp_opt.benchmarks.instances import Instance, choose_instances, instances_hash
-from regrasp_opt.benchmarks.oracle import Oracle
-from regrasp_opt.benchmarks.paper import ONE_STEP, PAPER_OBJECT
-from regrasp_opt.benchmarks.report import Figure, Report, Table, percent
-from regrasp_opt.benchmarks.runner import Item, Row
-from regrasp_opt.benchmarks.session import Session, error_rows, usable
-from regrasp_opt.benchmarks.subjects import planning_key, problem_key, resident
+from regrasp_opt.benchmarks.harness.generation import GENERATORS, OneStepTask, distinct, generate, verdicts
+from regrasp_opt.benchmarks.harness.instances import Instance, choose_instances, instances_hash
+from regrasp_opt.benchmarks.harness.oracle import Oracle
+from regrasp_opt.benchmarks.harness.report import Figure, Report, Table, percent
+from regrasp_opt.benchmarks.harness.runner import Item, Row
+from regrasp_opt.benchmarks.harness.session import Session, error_rows, usable
+from regrasp_opt.benchmarks.harness.subjects import planning_key, problem_key, resident
+from regrasp_opt.benchmarks.paper.published import ONE_STEP, PAPER_OBJECT
 from regrasp_opt.connectivity import CostOptions
 from regrasp_opt.connectivity.costs import CostVariant
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import joblib
 
-from regrasp_opt.benchmarks.parallel import in_parallel
-from regrasp_opt.benchmarks.subjects import problem_key
+from regrasp_opt.benchmarks.harness.parallel import in_parallel
+from regrasp_opt.benchmarks.harness.subjects import problem_key
 from regrasp_opt.energy.calibration import calibrate
 from regrasp_opt.energy.features import pair_features
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy

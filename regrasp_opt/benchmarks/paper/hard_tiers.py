@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from regrasp_opt.benchmarks.instances import TIERS, Instance, choose_instances, instances_hash
-from regrasp_opt.benchmarks.oracle import Resolution
-from regrasp_opt.benchmarks.planners import plan_row
-from regrasp_opt.benchmarks.report import Cell, Report, Table, mean, percent
-from regrasp_opt.benchmarks.runner import Item, Row
-from regrasp_opt.benchmarks.session import Session, error_rows, usable
-from regrasp_opt.benchmarks.subjects import planning_key
+from regrasp_opt.benchmarks.harness.instances import TIERS, Instance, choose_instances, instances_hash
+from regrasp_opt.benchmarks.harness.oracle import Resolution
+from regrasp_opt.benchmarks.harness.planners import plan_row
+from regrasp_opt.benchmarks.harness.report import Cell, Report, Table, mean, percent
+from regrasp_opt.benchmarks.harness.runner import Item, Row
+from regrasp_opt.benchmarks.harness.session import Session, error_rows, usable
+from regrasp_opt.benchmarks.harness.subjects import planning_key
 from regrasp_opt.conventions import IntArray, translation
 from regrasp_opt.errors import RegraspError
 from regrasp_opt.files import content_hash

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from regrasp_opt.benchmarks.oracle import Oracle
+from regrasp_opt.benchmarks.harness.oracle import Oracle
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, invert, planar_transform
 from regrasp_opt.errors import PoseError
 from regrasp_opt.feasibility.dataset import random_poses

@@ -20,9 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from regrasp_opt.benchmarks import kernels
-from regrasp_opt.benchmarks.environment import environment
-from regrasp_opt.benchmarks.speed_page import performance_page
+from regrasp_opt.benchmarks.comparisons import kernels
+from regrasp_opt.benchmarks.comparisons.speed_page import performance_page
+from regrasp_opt.benchmarks.harness.environment import environment
 from regrasp_opt.files import atomic_path
 from regrasp_opt.objects import OBJECT_NAMES
 from regrasp_opt.planning import Recipe, RegraspPlan, RegraspProblem, solve_sequence

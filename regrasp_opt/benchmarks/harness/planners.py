@@ -16,10 +16,10 @@ import numpy as np
 from scipy.sparse import block_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from regrasp_opt.benchmarks.instances import Instance
-from regrasp_opt.benchmarks.oracle import Resolution, build_oracle
-from regrasp_opt.benchmarks.runner import Row
-from regrasp_opt.benchmarks.subjects import resident
+from regrasp_opt.benchmarks.harness.instances import Instance
+from regrasp_opt.benchmarks.harness.oracle import Resolution, build_oracle
+from regrasp_opt.benchmarks.harness.runner import Row
+from regrasp_opt.benchmarks.harness.subjects import resident
 from regrasp_opt.conventions import BoolArray, IntArray
 from regrasp_opt.planning import Recipe, RegraspPlan, RegraspProblem, solve_sequence
 from regrasp_opt.planning.recipes import RECIPES

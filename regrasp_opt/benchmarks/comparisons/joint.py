@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from regrasp_opt.benchmarks.instances import Instance, instances_hash
-from regrasp_opt.benchmarks.report import Cell, Report, Table, mean, percent
-from regrasp_opt.benchmarks.runner import Item, Row
-from regrasp_opt.benchmarks.session import Session, error_rows, usable
-from regrasp_opt.benchmarks.subjects import planning_key, resident
+from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
+from regrasp_opt.benchmarks.harness.report import Cell, Report, Table, mean, percent
+from regrasp_opt.benchmarks.harness.runner import Item, Row
+from regrasp_opt.benchmarks.harness.session import Session, error_rows, usable
+from regrasp_opt.benchmarks.harness.subjects import planning_key, resident
 from regrasp_opt.conventions import IntArray
 from regrasp_opt.files import content_hash
 from regrasp_opt.motion import refine_plan, solve_with_free_grasps

@@ -15,11 +15,11 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 from scipy.stats import spearmanr
 
-from regrasp_opt.benchmarks.instances import Instance, choose_instances, instances_hash, planar_parameters
-from regrasp_opt.benchmarks.report import Cell, Figure, Report, Table, mean, percent
-from regrasp_opt.benchmarks.runner import Item, Row
-from regrasp_opt.benchmarks.session import Session, error_rows, usable
-from regrasp_opt.benchmarks.subjects import planning_key, resident
+from regrasp_opt.benchmarks.harness.instances import Instance, choose_instances, instances_hash, planar_parameters
+from regrasp_opt.benchmarks.harness.report import Cell, Figure, Report, Table, mean, percent
+from regrasp_opt.benchmarks.harness.runner import Item, Row
+from regrasp_opt.benchmarks.harness.session import Session, error_rows, usable
+from regrasp_opt.benchmarks.harness.subjects import planning_key, resident
 from regrasp_opt.connectivity import CostOptions, sequence_cost
 from regrasp_opt.connectivity.costs import COST_VARIANTS
 from regrasp_opt.conventions import FloatArray, planar_transform

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import plotly.graph_objects as go
 
-from regrasp_opt.benchmarks.instances import Instance, choose_instances, instances_hash
-from regrasp_opt.benchmarks.paper import MULTI_STEP, PAPER_OBJECT
-from regrasp_opt.benchmarks.planners import plan_row
-from regrasp_opt.benchmarks.report import Cell, Figure, Report, Table, mean, percent
-from regrasp_opt.benchmarks.runner import Item, Row
-from regrasp_opt.benchmarks.session import Session, error_rows, usable
-from regrasp_opt.benchmarks.subjects import planning_key
+from regrasp_opt.benchmarks.harness.instances import Instance, choose_instances, instances_hash
+from regrasp_opt.benchmarks.harness.planners import plan_row
+from regrasp_opt.benchmarks.harness.report import Cell, Figure, Report, Table, mean, percent
+from regrasp_opt.benchmarks.harness.runner import Item, Row
+from regrasp_opt.benchmarks.harness.session import Session, error_rows, usable
+from regrasp_opt.benchmarks.harness.subjects import planning_key
+from regrasp_opt.benchmarks.paper.published import MULTI_STEP, PAPER_OBJECT
 from regrasp_opt.files import content_hash
 from regrasp_opt.planning import Recipe, RegraspProblem
 from regrasp_opt.planning.recipes import RECIPES, paper_recipe

@@ -10,11 +10,11 @@ from weakref import WeakSet
 import numpy as np
 import plotly.graph_objects as go
 
-from regrasp_opt.benchmarks.instances import Instance, instances_hash
-from regrasp_opt.benchmarks.report import Cell, Figure, Report, Table, percent
-from regrasp_opt.benchmarks.runner import Item, Row
-from regrasp_opt.benchmarks.session import Session, error_rows, usable
-from regrasp_opt.benchmarks.subjects import planning_key, resident
+from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
+from regrasp_opt.benchmarks.harness.report import Cell, Figure, Report, Table, percent
+from regrasp_opt.benchmarks.harness.runner import Item, Row
+from regrasp_opt.benchmarks.harness.session import Session, error_rows, usable
+from regrasp_opt.benchmarks.harness.subjects import planning_key, resident
 from regrasp_opt.files import content_hash
 from regrasp_opt.motion import MotionOptions, plan_motion, plan_with_motion
 from regrasp_opt.planning import RegraspProblem, solve_sequence

@@ -19,8 +19,8 @@ import joblib
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from regrasp_opt.benchmarks.environment import git_revision
-from regrasp_opt.benchmarks.parallel import in_parallel
+from regrasp_opt.benchmarks.harness.environment import git_revision
+from regrasp_opt.benchmarks.harness.parallel import in_parallel
 from regrasp_opt.errors import OptionError, RegraspError
 from regrasp_opt.files import atomic_path, content_hash
 

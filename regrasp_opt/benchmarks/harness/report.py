@@ -11,8 +11,8 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from regrasp_opt.benchmarks.environment import environment
-from regrasp_opt.benchmarks.runner import Row, write_csv
+from regrasp_opt.benchmarks.harness.environment import environment
+from regrasp_opt.benchmarks.harness.runner import Row, write_csv
 from regrasp_opt.files import atomic_path
 
 Cell = str | float | int | None

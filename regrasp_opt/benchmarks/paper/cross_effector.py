@@ -9,14 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import plotly.graph_objects as go
 
-from regrasp_opt.benchmarks.instances import Instance, choose_instances, instances_hash
-from regrasp_opt.benchmarks.models import TrainingRequest, trained_energies
-from regrasp_opt.benchmarks.oracle import Oracle, Resolution
-from regrasp_opt.benchmarks.paper import CROSS_EFFECTOR, END_EFFECTORS, PAPER_OBJECT
-from regrasp_opt.benchmarks.report import Cell, Figure, Report, Table, mean, percent
-from regrasp_opt.benchmarks.runner import Item, Row, progress_bar
-from regrasp_opt.benchmarks.session import QUICK_GRID, Session
-from regrasp_opt.benchmarks.subjects import problem_key, resident
+from regrasp_opt.benchmarks.harness.instances import Instance, choose_instances, instances_hash
+from regrasp_opt.benchmarks.harness.models import TrainingRequest, trained_energies
+from regrasp_opt.benchmarks.harness.oracle import Oracle, Resolution
+from regrasp_opt.benchmarks.harness.report import Cell, Figure, Report, Table, mean, percent
+from regrasp_opt.benchmarks.harness.runner import Item, Row, progress_bar
+from regrasp_opt.benchmarks.harness.session import QUICK_GRID, Session
+from regrasp_opt.benchmarks.harness.subjects import problem_key, resident
+from regrasp_opt.benchmarks.paper.published import CROSS_EFFECTOR, END_EFFECTORS, PAPER_OBJECT
 from regrasp_opt.connectivity import CostOptions, block, exact_energy
 from regrasp_opt.conventions import BoolArray, FloatArray, planar_transform
 from regrasp_opt.energy.features import feature_count

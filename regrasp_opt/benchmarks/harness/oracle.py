@@ -20,8 +20,8 @@ import joblib
 import numpy as np
 from scipy.sparse.csgraph import shortest_path
 
-from regrasp_opt.benchmarks.parallel import in_parallel
-from regrasp_opt.benchmarks.subjects import problem_key, resident
+from regrasp_opt.benchmarks.harness.parallel import in_parallel
+from regrasp_opt.benchmarks.harness.subjects import problem_key, resident
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, planar_transform
 from regrasp_opt.errors import OptionError
 from regrasp_opt.files import UNREADABLE_ARRAYS, atomic_path, content_hash, data_home

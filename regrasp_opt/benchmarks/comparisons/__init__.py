@@ -1,0 +1,1 @@
+"""Comparisons beyond the paper: ablations, refiners, embeddings, motions and speed."""

@@ -1,0 +1,1 @@
+"""The figure and the tables of the paper, measured with this package."""
