@@ -163,7 +163,7 @@ class Solid:
 
     def may_hold(self, other: Solid) -> bool:
         """Return whether `other` is small enough to be inside, or has a part that may be."""
-        if self.bounds is None:
+        if self.bounds is None or len(other.shells.points) == 0:
             return False
         if len(other.shells.points) > 1:
             return True

@@ -129,3 +129,10 @@ def test_shells_of_a_fine_mesh_are_found_after_export_with_single_precision(tmp_
     loaded = trimesh.load_mesh(tmp_path / "ball.stl", process=False)
     shells = find_shells(np.array(loaded.vertices), np.array(loaded.faces))
     assert shells.open_parts == 0 and len(shells.points) == 1 and len(shells.triangles) == len(mesh.faces)
+
+
+def test_a_mesh_of_slivers_has_no_inside_and_is_in_nothing():
+    slivers = solid(raw(np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0, 0]]), np.array([[0, 1, 2], [0, 1, 1]])))
+    assert len(slivers.shells.points) == 0 and not slivers.holds(np.zeros((1, 3)))
+    assert not solid(BOX).may_hold(slivers) and not slivers.may_hold(solid(BOX))
+    assert not nested(solid(BOX), slivers, np.eye(4))
