@@ -146,3 +146,20 @@ def test_an_arm_in_collision(plan):
         if refused > 5:
             return
     assert refused
+
+
+def test_each_intermediate_pose_is_held_against_its_own_placement(plan):
+    xi = np.tile(plan.xi[:1], (3, 1))
+    xi[1, 1] += 0.01
+    placements = np.array([99, plan.placements[0], plan.placements[0]])
+    many = replace(
+        plan,
+        poses=plan.poses[[0, 1, 1, 1, -1]],
+        placements=placements,
+        xi=xi,
+        transitions=(plan.transitions[0], *3 * plan.transitions[-1:]),
+    )
+    residuals = many.residuals()
+    np.testing.assert_allclose(residuals.placement_error, [np.inf, 0.01, 0.0], atol=1e-9)
+    said = [text for text in residuals.problems if text.startswith("pose")]
+    assert len(said) == 2 and "pose 1 names placement 99" in said[0] and "pose 2 is 0.01 away" in said[1]
