@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import Any
 
 
 class RegraspError(Exception):
@@ -45,6 +46,20 @@ class PoseError(RegraspError):
 
 class WorkcellError(RegraspError):
     """A workcell, end-effector or robot description with a wrong key, value or geometry."""
+
+
+class HomeCollisionError(WorkcellError):
+    """A workcell in which the arm collides where it rests.
+
+    Attributes
+    ----------
+    workcell : Workcell
+        What was understood of it.
+    """
+
+    def __init__(self, message: str, workcell: Any) -> None:
+        self.workcell = workcell
+        super().__init__(message)
 
 
 class GraspError(RegraspError):

@@ -195,6 +195,34 @@ def prepare(
 
 
 @app.command()
+def inspect(
+    workcell: Annotated[
+        str | None,
+        typer.Option(help="Built-in workcell or a TOML file.", autocompletion=stored("workcells")),
+    ] = None,
+    object: Annotated[
+        str | None, typer.Option("--object", help="Built-in object or a mesh file.", autocompletion=names(OBJECTS))
+    ] = None,
+    end_effector: EffectorOption = None,
+    scale: ScaleOption = 1.0,
+    repair: RepairOption = False,
+    html: Annotated[Path | None, typer.Option(help="Write a page that shows the workcell and the object.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the same as one JSON object.")] = False,
+) -> int:
+    """Say what was understood of a workcell, an object, and the grasps of both.
+
+    For example:
+
+    regrasp-opt inspect --workcell my-cell.toml
+
+    regrasp-opt inspect --object part.stl --workcell my-cell.toml --html cell.html
+    """
+    from regrasp_opt.cli.inspect import InspectRequest, run_inspect
+
+    return run_inspect(InspectRequest(workcell, object, end_effector, scale, repair), html=html, as_json=json)
+
+
+@app.command()
 def check(
     plan: PlanArgument,
     json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,

@@ -52,7 +52,7 @@ _ADVICE = {
 }
 
 
-class Failure(NamedTuple):
+class Reason(NamedTuple):
     """Why one grasp is infeasible at one pose.
 
     Attributes
@@ -70,7 +70,7 @@ class Failure(NamedTuple):
         return " ".join([self.cause.value, " and ".join(self.bodies)]).strip()
 
 
-def diagnose(checker: FeasibilityChecker, T: FloatArray, grasp_ids: IntArray | None = None) -> list[Failure | None]:
+def diagnose(checker: FeasibilityChecker, T: FloatArray, grasp_ids: IntArray | None = None) -> list[Reason | None]:
     """Return why each of the grasps is infeasible at one pose; None for those that are feasible.
 
     Parameters
@@ -84,17 +84,17 @@ def diagnose(checker: FeasibilityChecker, T: FloatArray, grasp_ids: IntArray | N
     ids = np.arange(len(checker.grasps)) if grasp_ids is None else np.asarray(grasp_ids, dtype=np.int64)
     problem = checker.object_problem(T)
     if problem is not None:
-        return [Failure(Cause.OBJECT, (problem,))] * len(ids)
+        return [Reason(Cause.OBJECT, (problem,))] * len(ids)
     T_world_flange = checker.flange_poses(T, ids)
     reached = checker.in_reach(T_world_flange)
     in_table = checker.gripper_in_table(T_world_flange, ids)
     branches = checker.branches(np.broadcast_to(T, (len(ids), 4, 4)), ids)
-    found: list[Failure | None] = []
+    found: list[Reason | None] = []
     for k, grasp_id in enumerate(ids.tolist()):
         if not reached[k]:
-            found.append(Failure(Cause.OUT_OF_REACH))
+            found.append(Reason(Cause.OUT_OF_REACH))
         elif in_table[k]:
-            found.append(Failure(Cause.GRIPPER_IN_TABLE))
+            found.append(Reason(Cause.GRIPPER_IN_TABLE))
         else:
             found.append(_collision(checker, T, grasp_id, branches.q[branches.pair == k]))
     return found
@@ -102,19 +102,19 @@ def diagnose(checker: FeasibilityChecker, T: FloatArray, grasp_ids: IntArray | N
 
 def diagnose_poses(
     checker: FeasibilityChecker, poses: Sequence[FloatArray] | FloatArray, rng: np.random.Generator
-) -> list[Failure | None]:
+) -> list[Reason | None]:
     """Return why grasps fail at the first `TOLD_POSES` of `poses` (B, 4, 4), for `TOLD_GRASPS` at each."""
     count = len(checker.grasps)
     ids = np.sort(rng.choice(count, min(TOLD_GRASPS, count), replace=False))
     return [failure for T in poses[:TOLD_POSES] for failure in diagnose(checker, T, ids)]
 
 
-def tally(failures: Iterable[Failure | None]) -> Counter[Failure]:
+def tally(failures: Iterable[Reason | None]) -> Counter[Reason]:
     """Return how often each failure occurs."""
     return Counter(failure for failure in failures if failure is not None)
 
 
-def summary(failures: Iterable[Failure | None], shown: int = 6) -> str:
+def summary(failures: Iterable[Reason | None], shown: int = 6) -> str:
     """Return the counts of `failures`, the most frequent first, and what helps against that cause."""
     ordered = tally(failures).most_common()
     texts = [f"{count} {failure}" for failure, count in ordered[:shown]]
@@ -126,7 +126,7 @@ def summary(failures: Iterable[Failure | None], shown: int = 6) -> str:
     return f"{', '.join(texts)}; {causes.most_common(1)[0][0].advice}" if texts else "all are feasible"
 
 
-def _collision(checker: FeasibilityChecker, T: FloatArray, grasp_id: int, branches: FloatArray) -> Failure | None:
+def _collision(checker: FeasibilityChecker, T: FloatArray, grasp_id: int, branches: FloatArray) -> Reason | None:
     """Return what the configurations (M, dof) of a grasp collide with, None if one of them is free."""
     least: list[tuple[int, int]] = []
     for q in branches:
@@ -135,19 +135,19 @@ def _collision(checker: FeasibilityChecker, T: FloatArray, grasp_id: int, branch
             return None
         least = pairs if not least or len(pairs) < len(least) else least
     if not least:
-        return Failure(Cause.NO_CONFIGURATION)
+        return Reason(Cause.NO_CONFIGURATION)
     return min((_named(checker, pair) for pair in least), key=lambda failure: list(Cause).index(failure.cause))
 
 
-def _named(checker: FeasibilityChecker, pair: tuple[int, int]) -> Failure:
+def _named(checker: FeasibilityChecker, pair: tuple[int, int]) -> Reason:
     """Return the failure that a colliding pair of the scene's bodies means; the second may stand still."""
     scene, (moving, other) = checker.scene, pair
     is_gripper = moving in scene.gripper
     if other == scene.table:
-        return Failure(Cause.GRIPPER_IN_TABLE if is_gripper else Cause.ARM_IN_TABLE)
+        return Reason(Cause.GRIPPER_IN_TABLE if is_gripper else Cause.ARM_IN_TABLE)
     if other == scene.object:
-        return Failure(Cause.ARM_IN_OBJECT)
+        return Reason(Cause.ARM_IN_OBJECT)
     if scene.is_obstacle(other):
         cause = Cause.GRIPPER_IN_OBSTACLE if is_gripper else Cause.ARM_IN_OBSTACLE
-        return Failure(cause, (f"obstacle '{scene.name(other)}'",))
-    return Failure(Cause.SELF_COLLISION, (f"'{scene.name(moving)}'", f"'{scene.name(other)}'"))
+        return Reason(cause, (f"obstacle '{scene.name(other)}'",))
+    return Reason(Cause.SELF_COLLISION, (f"'{scene.name(moving)}'", f"'{scene.name(other)}'"))

@@ -11,6 +11,7 @@ centre of mass lowest.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, NamedTuple
 
 import numpy as np
 import trimesh
@@ -21,6 +22,9 @@ from scipy.spatial import ConvexHull, KDTree, QhullError
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
 from regrasp_opt.errors import MeshError
 from regrasp_opt.objects.rolling import LEAST_MARGIN, MERGE_ANGLE, Hull
+
+_NO_MARGIN = 1e-3
+"""Facets with less stand on an edge."""
 
 TIE = 1e-6
 """Margins closer than this count as equal when placements are ordered."""
@@ -46,6 +50,13 @@ class Placement:
     margin: float
 
 
+class RejectedPlacement(NamedTuple):
+    """A way of resting that is not stable enough, and why: ``"rolls"`` or ``"margin"``."""
+
+    placement: Placement
+    reason: Literal["rolls", "margin"]
+
+
 def stable_placements(mesh: trimesh.Trimesh, min_margin: float = LEAST_MARGIN) -> tuple[Placement, ...]:
     """Return the placements of a solid of uniform density whose margin is at least `min_margin`.
 
@@ -64,31 +75,60 @@ def stable_placements(mesh: trimesh.Trimesh, min_margin: float = LEAST_MARGIN) -
     MeshError
         If the mesh is flat, so that it has no convex hull.
     """
-    points = np.asarray(mesh.vertices, dtype=np.float64) - mesh.center_mass
-    try:
-        hull = Hull(points)
-    except QhullError as error:
-        raise MeshError("the mesh is flat and has no convex hull; give a solid") from error
-    normals, heights = hull.normals, hull.heights
-    tree = KDTree(normals)
-    supports = [np.array(near) for near in tree.query_ball_point(normals, 2 * np.sin(MERGE_ANGLE / 2))]
-    margins = np.array(
-        [
-            _inner_distance(points[np.unique(hull.simplices[support])], normal) / height
-            for support, normal, height in zip(supports, normals, heights, strict=True)
-        ]
-    )
-    found, taken = [], np.zeros(len(normals), dtype=bool)
-    groups = _rolling_neighbours(supports, margins >= min_margin)
-    for group in sorted(groups, key=lambda group: -margins[group].max()):
-        best = group[np.argmax(margins[group])]
-        rest = supports[best][np.argmin(heights[supports[best]])]
-        if taken[rest] or hull.rolls(rest):
+    facets = _Facets.of(mesh)
+    found, taken = [], np.zeros(len(facets.margins), dtype=bool)
+    for rest, margin in facets.rests(min_margin):
+        if taken[rest] or facets.hull.rolls(rest):
             continue
-        taken[hull.neighbors(rest)] = True
-        placement = Placement(_resting_pose(mesh, rotation_to_down(normals[rest])), float(margins[best]))
-        found.append((placement, normals[rest]))
+        taken[facets.hull.neighbors(rest)] = True
+        normal = facets.hull.normals[rest]
+        found.append((Placement(_resting_pose(mesh, rotation_to_down(normal)), margin), normal))
     return _ordered(found)
+
+
+def rejected_placements(mesh: trimesh.Trimesh, min_margin: float = LEAST_MARGIN) -> tuple[RejectedPlacement, ...]:
+    """Return the other ways in which the solid can rest, by falling margin; parameters and errors as above."""
+    facets = _Facets.of(mesh)
+    found = []
+    for rest, margin in facets.rests(_NO_MARGIN):
+        rolls = facets.hull.rolls(rest)
+        if rolls or margin < min_margin:
+            placement = Placement(_resting_pose(mesh, rotation_to_down(facets.hull.normals[rest])), margin)
+            found.append(RejectedPlacement(placement, "rolls" if rolls else "margin"))
+    return tuple(found)
+
+
+class _Facets(NamedTuple):
+    """The hull's facets, the numbers of those that belong to the support of each, and the margins (F,)."""
+
+    hull: Hull
+    supports: list[IntArray]
+    margins: FloatArray
+
+    @staticmethod
+    def of(mesh: trimesh.Trimesh) -> _Facets:
+        points = np.asarray(mesh.vertices, dtype=np.float64) - mesh.center_mass
+        try:
+            hull = Hull(points)
+        except QhullError as error:
+            raise MeshError("the mesh is flat and has no convex hull; give a solid") from error
+        tree = KDTree(hull.normals)
+        supports = [np.array(near) for near in tree.query_ball_point(hull.normals, 2 * np.sin(MERGE_ANGLE / 2))]
+        margins = np.array(
+            [
+                _inner_distance(points[np.unique(hull.simplices[support])], normal) / height
+                for support, normal, height in zip(supports, hull.normals, hull.heights, strict=True)
+            ]
+        )
+        return _Facets(hull, supports, margins)
+
+    def rests(self, min_margin: float) -> list[tuple[int, float]]:
+        """Return the facet at rest, and the best margin, of each group of rolling neighbours, by falling margin."""
+        found = []
+        for group in _rolling_neighbours(self.supports, self.margins >= min_margin):
+            best = self.supports[group[np.argmax(self.margins[group])]]
+            found.append((int(best[np.argmin(self.hull.heights[best])]), float(self.margins[group].max())))
+        return sorted(found, key=lambda each: -each[1])
 
 
 def rotation_to_down(normal: FloatArray) -> FloatArray:

@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.files import atomic_path
+from regrasp_opt.objects import ObjectModel
 from regrasp_opt.planning import RegraspPlan
 from regrasp_opt.viz.candidates import CandidateTrace, cost_range, trail
 from regrasp_opt.viz.fields import CostField
-from regrasp_opt.viz.scene import SCALE, PlanScene, SharedGrasps, plan_scene, pose7, scaled_colours
+from regrasp_opt.viz.scene import SCALE, PlanScene, SharedGrasps, plan_scene, pose7, problem_scene, scaled_colours
 from regrasp_opt.viz.surfaces import Surface
 from regrasp_opt.viz.track import Track
+from regrasp_opt.workcell import Workcell
 
 
 def write_plan_page(
@@ -40,9 +42,17 @@ def write_plan_page(
     candidates : CandidateTrace, optional
         Candidates of a refiner, to be shown by iteration.
     """
-    text = page_text(plan_scene(plan, track, candidates))
+    _write(plan_scene(plan, track, candidates), path)
+
+
+def write_problem_page(model: ObjectModel, workcell: Workcell, path: str | os.PathLike[str]) -> None:
+    """Write a page that shows the arm of `workcell` at home and the placements of `model`; it needs no network."""
+    _write(problem_scene(model, workcell), path)
+
+
+def _write(scene: PlanScene, path: str | os.PathLike[str]) -> None:
     with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(page_text(scene), encoding="utf-8")
 
 
 def page_text(scene: PlanScene) -> str:

@@ -12,13 +12,15 @@ import numpy as np
 from plotly.colors import get_colorscale, hex_to_rgb
 from scipy.spatial.transform import Rotation
 
-from regrasp_opt.conventions import FloatArray, IntArray
+from regrasp_opt.conventions import FloatArray, IntArray, translation
+from regrasp_opt.objects import ObjectModel
 from regrasp_opt.planning import RegraspPlan
 from regrasp_opt.viz.candidates import CandidateTrace
 from regrasp_opt.viz.fields import CostField, cost_field, grasp_energies, has_energy
 from regrasp_opt.viz.looks import BASE, COLOURS, Part, body_poses, grasp_mark, gripper_parts, robot_parts
 from regrasp_opt.viz.surfaces import Surface, shape_surface
 from regrasp_opt.viz.track import Track
+from regrasp_opt.workcell import Workcell
 
 SCALE = tuple(colour for _, colour in get_colorscale("Viridis"))
 """Colours from the least to the greatest energy or cost; they differ in lightness, so nobody needs to see hues."""
@@ -112,15 +114,7 @@ class PlanScene:
 def plan_scene(plan: RegraspPlan, track: Track | None = None, candidates: CandidateTrace | None = None) -> PlanScene:
     """Return what there is to see of `plan`, with the moments of `track` as steps where one is given."""
     problem, cell = plan.problem, plan.problem.workcell
-    dof = cell.robot.dof
-    parts = [
-        Part("table", shape_surface(cell.table.shape), COLOURS["table"], BASE),
-        *(Part(s.name, shape_surface(s), COLOURS["obstacle"], BASE) for s in cell.obstacles),
-        *robot_parts(cell.robot, cell.T_world_base),
-        *gripper_parts(cell.end_effector, dof),
-        Part("object", Surface(problem.object.vertices, problem.object.faces), COLOURS["object"], dof + 3),
-    ]
-    parts = [part._replace(surface=part.surface.creased()) for part in parts]
+    parts = _parts(problem.object, cell)
     states, steps, grasps = _picks_and_places(plan)
     if track is not None:
         moved = track.labels, track.transitions, range(len(states), len(states) + len(track.times))
@@ -131,9 +125,7 @@ def plan_scene(plan: RegraspPlan, track: Track | None = None, candidates: Candid
         states = np.concatenate([states, _states(plan, track.q, track.jaw, track.T_world_object)])
     names = ["start", *(f"pose {i}" for i in range(1, plan.num_regrasps + 1)), "goal"]
     colours = [COLOURS.get(name, COLOURS["intermediate"]) for name in names]
-    target = 0.6 * plan.poses[:, :3, 3].mean(axis=0) + 0.4 * cell.T_world_base[:3, 3] + np.array([0.0, 0.0, 0.14])
-    away = target[:2] - cell.T_world_base[:2, 3]
-    away = away / np.linalg.norm(away) if np.linalg.norm(away) > 1e-3 else np.array([0.0, 1.0])
+    eye, target = _view(plan.poses, cell)
     return PlanScene(
         title=f"{problem.object.name} in {cell.name}",
         subtitle=_subtitle(plan, track),
@@ -148,10 +140,61 @@ def plan_scene(plan: RegraspPlan, track: Track | None = None, candidates: Candid
         marks=pose7(problem.grasps.T_object_tcp),
         fields=tuple(cost_field(plan, i + 1) for i in range(plan.num_regrasps if has_energy(plan) else 0)),
         table_height=cell.table.height,
-        eye=target + np.array([*(1.3 * away + 0.5 * np.array([away[1], -away[0]])), 0.75]),
+        eye=eye,
         target=target,
         candidates=candidates,
     )
+
+
+def problem_scene(model: ObjectModel, cell: Workcell) -> PlanScene:
+    """Return the arm of `cell` at home and `model` in its placements, in a row over the workspace."""
+    count = len(model.placements)
+    low, high = cell.bounds.array
+    at = low + (np.arange(count) + 0.5)[:, None] / max(count, 1) * np.array([1.0, 0.0]) * (high - low)
+    at[:, 1] = (low[1] + high[1]) / 2
+    lift = [translation(x, y, cell.table.height) for x, y in at]
+    poses = np.array([T @ p.pose for T, p in zip(lift, model.placements, strict=True)]).reshape(-1, 4, 4)
+    states = _at_rest(cell, poses)
+    x, y = (low + high) / 2
+    eye, target = _view(poses if count else translation(x, y, cell.table.height)[None], cell)
+    parts = _parts(model, cell)
+    return PlanScene(
+        title=f"{model.name} in {cell.name}",
+        subtitle=f"the arm at home, {count} placement(s)",
+        parts=tuple(parts),
+        ghosts=tuple((f"placement {i}", COLOURS["intermediate"], pose) for i, pose in enumerate(pose7(poses))),
+        object_surface=parts[-1].surface,
+        mark=grasp_mark(cell.end_effector).creased(),
+        states=states,
+        steps=tuple(Step(f"placement {i}" if count else "home", -1, i) for i in range(len(states))),
+        seconds=None,
+        grasps=(),
+        marks=np.zeros((0, 7)),
+        fields=(),
+        table_height=cell.table.height,
+        eye=eye,
+        target=target,
+    )
+
+
+def _parts(model: ObjectModel, cell: Workcell) -> list[Part]:
+    dof = cell.robot.dof
+    parts = [
+        Part("table", shape_surface(cell.table.shape), COLOURS["table"], BASE),
+        *(Part(s.name, shape_surface(s), COLOURS["obstacle"], BASE) for s in cell.obstacles),
+        *robot_parts(cell.robot, cell.T_world_base),
+        *gripper_parts(cell.end_effector, dof),
+        Part("object", Surface(model.vertices, model.faces), COLOURS["object"], dof + 3),
+    ]
+    return [part._replace(surface=part.surface.creased()) for part in parts]
+
+
+def _view(poses: FloatArray, cell: Workcell) -> tuple[FloatArray, FloatArray]:
+    """Return where to look from and at what (3,) [m] to see objects at `poses` (N, 4, 4) and the arm."""
+    target = 0.6 * poses[:, :3, 3].mean(axis=0) + 0.4 * cell.T_world_base[:3, 3] + np.array([0.0, 0.0, 0.14])
+    away = target[:2] - cell.T_world_base[:2, 3]
+    away = away / np.linalg.norm(away) if np.linalg.norm(away) > 1e-3 else np.array([0.0, 1.0])
+    return target + np.array([*(1.3 * away + 0.5 * np.array([away[1], -away[0]])), 0.75]), target
 
 
 def _subtitle(plan: RegraspPlan, track: Track | None) -> str:
@@ -166,8 +209,7 @@ def _picks_and_places(plan: RegraspPlan) -> tuple[FloatArray, list[Step], list[S
     """Return the states in which every shared grasp picks and places, the steps of the clearest, and the grasps."""
     dof, width = plan.problem.workcell.robot.dof, plan.problem.grasps.width
     if not plan.transitions:
-        nowhere = _states(plan, plan.problem.workcell.robot.home[None], np.zeros(1), plan.poses[:1])
-        return nowhere, [Step("start", -1, 0)], []
+        return _at_rest(plan.problem.workcell, plan.poses[:1]), [Step("start", -1, 0)], []
     energies = grasp_energies(plan) if has_energy(plan) else None
     states, steps, grasps, row = [], [], [], 0
     for i, t in enumerate(plan.transitions):
@@ -189,6 +231,14 @@ def scaled_colours(values: FloatArray, ends: tuple[float, float] | None = None) 
     table = np.array([hex_to_rgb(colour) for colour in SCALE])
     at = np.linspace(0.0, 1.0, len(table))
     return np.stack([np.interp(part, at, channel) for channel in table.T], axis=-1).round().astype(np.uint8)
+
+
+def _at_rest(cell: Workcell, T_world_object: FloatArray) -> FloatArray:
+    """Return the states of the arm at home with the object at each pose (N, 4, 4), at the origin without one."""
+    T = T_world_object if len(T_world_object) else np.eye(4)[None]
+    home = np.tile(cell.robot.home, (len(T), 1))
+    bodies = body_poses(cell.robot, cell.T_world_base, home, np.zeros(len(T)))
+    return pose7(np.concatenate([bodies, T[:, None]], axis=1))
 
 
 def _states(plan: RegraspPlan, q: FloatArray, jaw: FloatArray, T_world_object: FloatArray) -> FloatArray:

@@ -11,7 +11,7 @@ import numpy as np
 
 from regrasp_opt.conventions import FloatArray, rotation_rpy, translation
 from regrasp_opt.end_effectors import END_EFFECTOR_NAMES, EndEffector, load_end_effector
-from regrasp_opt.errors import MeshError, UnknownNameError, WorkcellError
+from regrasp_opt.errors import HomeCollisionError, MeshError, UnknownNameError, WorkcellError
 from regrasp_opt.files import report_outside
 from regrasp_opt.mesh_files import LARGEST_MESH, read_triangles, unlikely_size
 from regrasp_opt.robots import Robot, load_robot
@@ -124,10 +124,11 @@ def _check(workcell: Workcell, path: Path) -> None:
         raise WorkcellError(f"{path}: key 'obstacles': the name '{twice}' is taken; give each obstacle its own")
     hit = collision_at_home(workcell)
     if hit is not None:
-        raise WorkcellError(
+        raise HomeCollisionError(
             f"{path}: '{hit[0]}' collides with '{hit[1]}', or is nearer than its clearance, while the robot is at "
             "home; choose another 'robot.home', or add the pair to 'robot.ignore_collisions' if both are links made "
-            "to touch"
+            "to touch",
+            workcell,
         )
 
 

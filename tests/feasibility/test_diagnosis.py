@@ -10,7 +10,7 @@ from regrasp_opt import RegraspProblem, Status, solve_sequence
 from regrasp_opt.conventions import translation
 from regrasp_opt.errors import GraspError
 from regrasp_opt.feasibility import FeasibilityChecker
-from regrasp_opt.feasibility.diagnosis import Cause, Failure, diagnose, summary, tally
+from regrasp_opt.feasibility.diagnosis import Cause, Reason, diagnose, summary, tally
 from regrasp_opt.planning.tasks import random_graspable_pose
 from regrasp_opt.shapes import Box
 from regrasp_opt.workcell import load_workcell
@@ -41,7 +41,7 @@ def test_a_failure_is_told_where_and_only_where_the_check_fails(bottle_problem, 
 def test_an_object_in_the_way_comes_first(bottle_problem):
     checker, T = bottle_problem.checker, bottle_problem.pose(0, 0.0, 0.3)
     assert set(diagnose(checker, translation(0, 0, -0.01) @ T)) == {
-        Failure(Cause.OBJECT, ("sinks 10.0 mm into the table",))
+        Reason(Cause.OBJECT, ("sinks 10.0 mm into the table",))
     }
     wall = Box("wall", np.array([0.02, 0.2, 0.2]), translation(0.0, 0.3, 0.1))
     (failure,) = set(diagnose(checker_of(bottle_problem, obstacles=(wall,)), T))
@@ -58,17 +58,17 @@ def test_reach_and_table(bottle_problem):
     assert tips.min() > 0
     below = (T @ bottle_problem.grasps.T_object_tcp @ translation(0, 0, -0.02))[:, 2, 3] < 0  # just behind the tips
     found = [f for f, low in zip(diagnose(bottle_problem.checker, T), below, strict=True) if low]
-    assert len(found) > 5 and found.count(Failure(Cause.GRIPPER_IN_TABLE)) > 0.8 * len(found)
+    assert len(found) > 5 and found.count(Reason(Cause.GRIPPER_IN_TABLE)) > 0.8 * len(found)
 
 
 def test_obstacles_are_named_with_what_hits_them(bottle_problem):
     T = bottle_problem.pose(4, 0.25, 0.35)
     roof = Box("roof", np.array([0.3, 0.3, 0.01]), translation(0.25, 0.35, 0.23))
     found = tally(diagnose(checker_of(bottle_problem, obstacles=(roof,)), T))
-    assert found[Failure(Cause.GRIPPER_IN_OBSTACLE, ("obstacle 'roof'",))] > 0
+    assert found[Reason(Cause.GRIPPER_IN_OBSTACLE, ("obstacle 'roof'",))] > 0
     fence = Box("fence", np.array([0.5, 0.02, 0.5]), translation(0.2, 0.16, 0.3))
     found = tally(diagnose(checker_of(bottle_problem, obstacles=(fence,)), T))
-    assert found[Failure(Cause.ARM_IN_OBSTACLE, ("obstacle 'fence'",))] > 0
+    assert found[Reason(Cause.ARM_IN_OBSTACLE, ("obstacle 'fence'",))] > 0
 
 
 def test_arm_in_itself_in_table_and_in_the_object(bottle_problem):
@@ -90,10 +90,10 @@ def test_self_collisions_name_both(bottle_problem):
 
 
 def test_the_summary_counts_and_advises():
-    table, reach = Failure(Cause.GRIPPER_IN_TABLE), Failure(Cause.OUT_OF_REACH)
+    table, reach = Reason(Cause.GRIPPER_IN_TABLE), Reason(Cause.OUT_OF_REACH)
     text = summary([table, None, reach, table])
     assert text == f"2 gripper in table, 1 out of reach; {Cause.GRIPPER_IN_TABLE.advice}"
-    posts = [Failure(Cause.ARM_IN_OBSTACLE, (f"obstacle 'post{k}'",)) for k in range(9)]
+    posts = [Reason(Cause.ARM_IN_OBSTACLE, (f"obstacle 'post{k}'",)) for k in range(9)]
     assert summary([*posts, table]).endswith(f"4 otherwise; {Cause.ARM_IN_OBSTACLE.advice}")
     assert summary([None]) == "all are feasible"
     assert all(cause.advice for cause in Cause)

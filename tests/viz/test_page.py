@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from regrasp_opt.viz import write_plan_page
+from regrasp_opt.viz import write_plan_page, write_problem_page
 
 
 @pytest.fixture(scope="module")
@@ -112,6 +112,15 @@ def test_a_plan_that_was_not_found_has_a_page(bottle_problem, tmp_path, browser,
     complaints()
     browser.get((tmp_path / "none.html").as_uri())
     assert "no plan was found" in element(browser, "subtitle").text
+    assert len(np.unique(picture().reshape(-1, 3), axis=0)) > 500
+    assert complaints() == []
+
+
+def test_an_object_and_a_workcell_have_a_page(bottle_problem, tmp_path, browser, picture, complaints):
+    write_problem_page(bottle_problem.object, bottle_problem.workcell, tmp_path / "cell.html")
+    complaints()
+    browser.get((tmp_path / "cell.html").as_uri())
+    assert element(browser, "label").text == "placement 0"
     assert len(np.unique(picture().reshape(-1, 3), axis=0)) > 500
     assert complaints() == []
 

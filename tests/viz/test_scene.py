@@ -1,6 +1,6 @@
 """What is drawn is what the plan says: poses of hand and object, energies, costs, motions."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import coal
@@ -12,6 +12,7 @@ from regrasp_opt.connectivity import CostOptions, SequenceObjective
 from regrasp_opt.connectivity.objective import exact_energy
 from regrasp_opt.conventions import translation
 from regrasp_opt.viz import fields, looks, scene, surfaces, track
+from regrasp_opt.viz.page import _content
 
 
 def matrices(pose7):
@@ -72,6 +73,24 @@ def test_the_field_is_the_cost_of_moving_the_pose(plan):
         cost = objective.cost(plan.placements[None], xi)[0]
         assert field.cost[row, column] == pytest.approx(min(cost, fields.BLOCKED), abs=1e-3)
     assert [field.x[0], field.y[0], field.x[-1], field.y[-1]] == pytest.approx([*bounds[0], *bounds[1]])
+
+
+def test_a_problem_is_drawn_at_home_and_in_its_placements(bottle_problem, drawn):
+    body, cell = bottle_problem.object, bottle_problem.workcell
+    found = scene.problem_scene(body, cell)
+    assert [part.name for part in found.parts] == [part.name for part in drawn.parts]
+    assert len(found.ghosts) == len(found.states) == len(found.steps) == len(body.placements)
+    flange = cell.T_world_base @ cell.robot.forward(cell.robot.home)
+    for state, (_, _, ghost), placement in zip(found.states, found.ghosts, body.placements, strict=True):
+        np.testing.assert_allclose(matrices(state[cell.robot.dof]), flange, atol=1e-9)
+        np.testing.assert_allclose(state[-1], ghost)
+        T = matrices(ghost)
+        np.testing.assert_allclose(T[:3, :3], placement.pose[:3, :3], atol=1e-9)
+        low, high = cell.bounds.array
+        assert ((T[:3, :3] @ body.center_of_mass + T[:3, 3])[:2] >= low).all() and (T[:2, 3] <= high + 0.1).all()
+    nowhere = scene.problem_scene(replace(body, placements=()), cell)
+    assert nowhere.ghosts == () and [step.label for step in nowhere.steps] == ["home"]
+    assert set(_content(nowhere)) == set(_content(drawn))
 
 
 class Phase(Enum):

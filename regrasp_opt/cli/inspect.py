@@ -1,0 +1,205 @@
+"""`regrasp-opt inspect`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from regrasp_opt.cli.output import make_console, working
+from regrasp_opt.errors import HomeCollisionError
+from regrasp_opt.objects import ObjectModel, load_object
+from regrasp_opt.planning import RegraspProblem
+from regrasp_opt.planning.inspection import (
+    counted_bodies,
+    describe_grasps,
+    describe_object,
+    describe_workcell,
+)
+from regrasp_opt.workcell import Workcell, load_workcell
+
+
+@dataclass(frozen=True)
+class InspectRequest:
+    """The options of `regrasp-opt inspect`; with neither workcell nor object the built-in ones are inspected."""
+
+    workcell: str | None
+    object: str | None
+    end_effector: str | None
+    scale: float
+    repair: bool
+
+
+def run_inspect(request: InspectRequest, *, html: Path | None, as_json: bool) -> int:
+    """Print what was understood of the workcell, the object and the grasps of both; return 0.
+
+    A workcell that is refused because the arm collides at home is described before the error is raised.
+    """
+    cell_name, object_name = request.workcell, request.object
+    if html is not None or (cell_name is None and object_name is None):
+        cell_name, object_name = cell_name or "nova2-w", object_name or "bottle"
+    workcell, refused = None, None
+    if cell_name is not None:
+        try:
+            workcell = load_workcell(cell_name, end_effector=request.end_effector)
+        except HomeCollisionError as error:
+            workcell, refused = error.workcell, error
+    model = None if object_name is None else load_object(object_name, scale=request.scale, repair=request.repair)
+    problem = _problem(model, workcell)
+    data = {
+        "workcell": None if workcell is None else describe_workcell(workcell),
+        "object": None if model is None else describe_object(model),
+        "grasps": None if problem is None else describe_grasps(problem),
+    }
+    if html is not None and model is not None and workcell is not None:
+        from regrasp_opt.viz import write_problem_page
+
+        write_problem_page(model, workcell, html)
+    if as_json:
+        print(json.dumps(data))
+    else:
+        _show(data, html)
+    if refused is not None:
+        raise refused
+    return 0
+
+
+def _show(data: dict[str, Any], html: Path | None) -> None:
+    console = make_console()
+    if data["workcell"] is not None:
+        _show_workcell(console, data["workcell"])
+    if data["object"] is not None:
+        _show_object(console, data["object"])
+        _show_placements(console, data["object"], data["grasps"])
+    if html is not None:
+        console.print(f"written: {html}", markup=False, soft_wrap=True)
+
+
+def _problem(model: ObjectModel | None, workcell: Workcell | None) -> RegraspProblem | None:
+    if model is None or workcell is None or not model.placements:
+        return None
+    with working("looking for grasps"):
+        return RegraspProblem.load(model, workcell)
+
+
+def _show_workcell(console: Console, cell: dict[str, Any]) -> None:
+    robot, effector, table = cell["robot"], cell["end_effector"], cell["table"]
+    _heading(console, f"workcell {cell['name']}", cell["source"])
+    _show_robot(console, robot)
+    holds = (
+        f"cup of radius {_mm(effector['cup_radius'])}"
+        if effector["kind"] == "suction"
+        else f"opens {_mm(effector['max_opening'])}, approaches {_mm(effector['pre_opening'])} wider a side, pads "
+        f"{_mm(*np.ptp([effector['pad']['x'], effector['pad']['z']], axis=1))}"
+    )
+    _facts(
+        console,
+        ("end-effector", f"{effector['name']}, {effector['kind']}: {holds}"),
+        ("its TCP", f"{_mm(effector['tcp_offset'])} from the flange"),
+        ("its bodies", counted_bodies(effector["bodies"])),
+        ("table", f"top at z = {table['height']:g}, {_m(table['size'])} around {_point(table['center'])}"),
+        *(("obstacle", f"{o['name']}: {counted_bodies([o])} at {_point(o['position'])}") for o in cell["obstacles"]),
+        ("workspace", ", ".join(f"{axis} {_range(cell['workspace'][axis])}" for axis in "xy") + " m"),
+        ("clearance", ", ".join(f"{name.replace('_', '-')} {_mm(d)}" for name, d in cell["clearance"].items())),
+    )
+
+
+def _show_robot(console: Console, robot: dict[str, Any]) -> None:
+    ik, bare = robot["inverse_kinematics"], robot["links_without_body"]
+    solved = f"{ik['solved']} solved, residual at most {ik['residual']:.0e}"
+    if len(robot["joints"]) <= 6:  # more joints have infinitely many solutions
+        solved += f", {ik['found']} with the configuration that the pose came from among the solutions"
+    _facts(
+        console,
+        ("robot", f"{robot['name']}, {robot['file']}"),
+        ("base at", f"{_point(robot['position'])} m"),
+        ("tip", f"{robot['tip']['link']}: {robot['tip']['why']}; reach at most {robot['reach']:.2f} m"),
+        ("inverse kinematics", f"{ik['solver']}; of {ik['tried']} of the arm's own poses {solved}"),
+        ("links without a body", ", ".join(bare) or "none that moves"),
+    )
+    joints = _table("joint", "moves", "lower", "upper", "speed", "home", right=4)
+    for joint in robot["joints"]:
+        numbers = [f"{joint[key]:.3f}" for key in ("lower", "upper", "speed", "home")]
+        joints.add_row(escape(joint["name"]), "slides" if joint["slides"] else "turns", *numbers)
+    console.print(joints)
+    links = _table("link", "moved by", "bodies [mm]")
+    for link in robot["bodies"]:
+        links.add_row(escape(link["link"]), escape(link["moved_by"]), escape(counted_bodies(link["bodies"])))
+    console.print(links if robot["bodies"] else "the robot has no body: nothing of the arm is tested for collision")
+    for why in dict.fromkeys(pair["why"] for pair in robot["never_tested"]):
+        pairs = [" - ".join(pair["links"]) for pair in robot["never_tested"] if pair["why"] == why]
+        _facts(console, (f"never tested, {why}", ", ".join(pairs)))
+
+
+def _show_object(console: Console, model: dict[str, Any]) -> None:
+    repair = model["repair"]
+    repaired = "none asked for"
+    if repair is not None:
+        before, after = repair["faces"]
+        repaired = f"{before} faces in the file, {after} after it" if before != after else "nothing had to be repaired"
+    _heading(console, f"object {model['name']}", model["source"])
+    _facts(
+        console,
+        ("size", f"{_mm(*model['size'])}, scale {model['scale']:g}, {model['faces']} faces"),
+        ("volume", f"{1e6 * model['volume']:.1f} cm3, {model['volume'] * 1e3:.3f} kg at the density of water"),
+        ("centre of mass", f"{_mm(*model['center_of_mass'], by=', ')} in the frame of the mesh, at uniform density"),
+        ("radii of gyration", f"{_mm(*model['radii_of_gyration'], by=', ')} about the principal axes"),
+        ("repair", repaired),
+    )
+
+
+def _show_placements(console: Console, model: dict[str, Any], grasps: dict[str, Any] | None) -> None:
+    headings = ["placement", "height [mm]", "centre of mass [mm]", "margin"]
+    table = _table(*headings, *(["grasps that the table leaves"] if grasps else []), right=5)
+    for number, placement in enumerate(model["placements"]):
+        heights = (f"{1e3 * placement[key]:.1f}" for key in ("height", "center_height"))
+        left = [f"{grasps['left_by_table'][number]} of {grasps['count']}"] if grasps else []
+        table.add_row(str(number), *heights, f"{placement['margin']:.3f}", *left)
+    console.print(table if model["placements"] else "no stable placement: it cannot be planned with")
+    for why, text in (("rolls", "it rolls there"), ("margin", f"margin below {model['least_margin']:g}")):
+        margins = [r["margin"] for r in model["rejected"] if r["why"] == why]
+        if margins:
+            _facts(console, (f"not stable, {text}", f"{len(margins)} facet(s), margin at most {max(margins):.3f}"))
+    if grasps:
+        low, high = grasps["widths"]
+        _facts(console, ("grasps", f"{grasps['count']}, {grasps['source']}, jaw {_mm(low)} to {_mm(high)}"))
+
+
+def _heading(console: Console, what: str, source: str) -> None:
+    console.print(f"[bold]{escape(what)}[/] ({escape(source)})", soft_wrap=True)
+
+
+def _facts(console: Console, *facts: tuple[str, str]) -> None:
+    for name, text in facts:
+        console.print(f"  {escape(name)}: {escape(text)}", soft_wrap=True)
+
+
+def _table(*headings: str, right: int = 0) -> Table:
+    table = Table(box=None, header_style="bold")
+    for number, heading in enumerate(headings):
+        justify = "right" if number >= len(headings) - right else "left"
+        table.add_column(escape(heading), justify=justify)  # type: ignore[arg-type]
+    return table
+
+
+def _mm(*lengths: float, by: str = " x ") -> str:
+    return f"{by.join(f'{round(1e3 * length, 1) + 0.0:.1f}' for length in lengths)} mm"
+
+
+def _m(lengths: Iterable[float]) -> str:
+    return " x ".join(f"{length:g}" for length in lengths) + " m"
+
+
+def _point(point: Iterable[float]) -> str:
+    return f"({', '.join(f'{x:g}' for x in point)})"
+
+
+def _range(ends: Iterable[float]) -> str:
+    return f"[{', '.join(f'{x:g}' for x in ends)}]"
