@@ -3,6 +3,7 @@
 import ctypes
 import itertools
 import subprocess
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -282,6 +283,23 @@ def test_generated_c_of_values_and_derivatives_needs_no_library(make_problem_ene
     ctypes.CDLL(str(tmp_path / "f.so"))  # fails on a missing symbol; a call of one would end the process
     compiled = ca.external("f", str(tmp_path / "f.so"))
     for a, b in zip(compiled(numbers), function(numbers), strict=True):
+        np.testing.assert_allclose(np.array(a), np.array(b), atol=1e-12)
+
+
+@pytest.mark.parametrize("blas", ["classic", "reference"])
+def test_functions_are_compiled_just_in_time_as_the_page_says(make_problem_energy, tmp_path, monkeypatch, blas):
+    energy, ends, xi = make_problem_energy()
+    functions = energy.casadi_functions(placements=PLACEMENTS, start=ends[:, 0], goal=ends[:, 1], blas=blas)
+    library = Path(ca.__file__).parent / "libcasadi-tp-openblas.so"
+    link = {"linker_flags": [str(library), f"-Wl,-rpath,{library.parent}"]} if blas == "classic" else {}
+    x = ca.MX.sym("xi", 2, 3)
+    expressions = [functions.J_seq(x), ca.gradient(functions.J_seq(x), x)]
+    monkeypatch.chdir(tmp_path)
+    just_in_time = {"jit": True, "compiler": "shell", "jit_options": {"compiler": "cc", **link}}
+    compiled = ca.Function("f", [x], expressions, just_in_time)
+    (source,) = [path.read_text() for path in tmp_path.glob("*.c")]
+    assert ("dgemm" in source) == (blas == "classic")
+    for a, b in zip(compiled(xi), ca.Function("f", [x], expressions)(xi), strict=True):
         np.testing.assert_allclose(np.array(a), np.array(b), atol=1e-12)
 
 
