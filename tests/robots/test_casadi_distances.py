@@ -15,11 +15,13 @@ from regrasp_opt.robots.casadi_distances import (
     sphere_capsule_distance,
 )
 
-POINTS = [ca.SX.sym(name, 3) for name in "abcd"]
-RADII = ca.SX.sym("r"), ca.SX.sym("s")
-CAPSULES = ca.Function(
-    "capsules", [*POINTS, *RADII], [capsule_distance(POINTS[0], POINTS[1], RADII[0], POINTS[2], POINTS[3], RADII[1])]
-)
+
+@pytest.fixture(scope="module")
+def capsules():
+    """Return the distance of two capsules as a function of four points and two radii."""
+    a, b, c, d = (ca.SX.sym(name, 3) for name in "abcd")
+    r, s = ca.SX.sym("r"), ca.SX.sym("s")
+    return ca.Function("capsules", [a, b, c, d, r, s], [capsule_distance(a, b, r, c, d, s)])
 
 
 def placed(a, b, radius):
@@ -51,7 +53,7 @@ def segments(kind, rng):
 
 
 @pytest.mark.parametrize("kind", ["skew", "parallel", "nearly parallel", "in line", "sphere", "two spheres"])
-def test_capsules_are_as_far_apart_as_coal_says(kind):
+def test_capsules_are_as_far_apart_as_coal_says(kind, capsules):
     rng = np.random.default_rng(0)
     compared = 0
     for _ in range(300):
@@ -61,17 +63,17 @@ def test_capsules_are_as_far_apart_as_coal_says(kind):
         if expected < 1e-3:
             continue
         compared += 1
-        found = float(CAPSULES(a, b, c, d, *radii))
+        found = float(capsules(a, b, c, d, *radii))
         assert found == pytest.approx(expected, abs=1e-6 if "parallel" in kind else 1e-7)
     assert compared > 100
 
 
-def test_a_sphere_is_a_capsule_without_length():
+def test_a_sphere_is_a_capsule_without_length(capsules):
     rng = np.random.default_rng(1)
     for _ in range(50):
         p, a, b = rng.uniform(-0.5, 0.5, (3, 3))
         found = float(ca.DM(sphere_capsule_distance(ca.DM(p), 0.03, ca.DM(a), ca.DM(b), 0.05)))
-        assert found == pytest.approx(float(CAPSULES(p, p, a, b, 0.03, 0.05)), abs=1e-9)
+        assert found == pytest.approx(float(capsules(p, p, a, b, 0.03, 0.05)), abs=1e-9)
         assert found == pytest.approx(coal_distance(placed(p, p, 0.03), placed(a, b, 0.05)), abs=1e-6)
 
 
