@@ -8,10 +8,10 @@ import sys
 
 import pytest
 import trimesh
+from fuzz.targets import case
 from oracles.files import DATA
 
 from regrasp_opt import load_object, load_workcell
-from regrasp_opt.benchmarks.fuzz_targets import case
 from regrasp_opt.end_effectors import load_end_effector
 from regrasp_opt.energy.storage import load_energy
 from regrasp_opt.errors import MeshError, ModelError, PoseError, WorkcellError

@@ -331,7 +331,7 @@ def bench(
         typer.Argument(
             metavar="EXPERIMENT",
             help="cost-sweep, one-step, unseen, cross-effector, multi-step, hard-tiers, refiners, ablations, "
-            "embedding, joint, motion, reliability or speed.",
+            "embedding, joint, motion or speed.",
             autocompletion=names(EXPERIMENTS),
         ),
     ],

@@ -25,7 +25,6 @@ from regrasp_opt.benchmarks.paper.cross_effector import run_cross_effector
 from regrasp_opt.benchmarks.paper.hard_tiers import run_hard_tiers
 from regrasp_opt.benchmarks.paper.multi_step import run_multi_step
 from regrasp_opt.benchmarks.paper.one_step import run_one_step, run_unseen
-from regrasp_opt.benchmarks.reliability import run_reliability
 from regrasp_opt.cli.output import make_console
 from regrasp_opt.errors import UnknownNameError
 
@@ -43,7 +42,6 @@ EXPERIMENTS: dict[str, Callable[[Session], Report]] = {
     "joint": run_joint,
     "embedding": run_embedding,
     "motion": run_motion,
-    "reliability": run_reliability,
 }
 """The experiments by their names on the command line."""
 

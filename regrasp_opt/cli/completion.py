@@ -9,7 +9,7 @@ OBJECTS = ("bottle", "figurine", "mug", "pentagon")
 REFINERS = ("ipopt", "langevin", "langevin-ipopt", "lattice", "paper")
 EXPERIMENTS = (
     *("ablations", "cost-sweep", "cross-effector", "embedding", "hard-tiers", "joint", "motion"),
-    *("multi-step", "one-step", "refiners", "reliability", "speed", "unseen"),
+    *("multi-step", "one-step", "refiners", "speed", "unseen"),
 )
 
 Completion = Callable[[str], list[str]]

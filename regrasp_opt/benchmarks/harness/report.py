@@ -58,6 +58,8 @@ class Report:
         Sizes and seeds.
     conclusion : str
         What the tables say, in paragraphs with an empty line between them.
+    command : str
+        The command that makes it, where that is not `regrasp-opt bench`.
     """
 
     name: str
@@ -70,6 +72,7 @@ class Report:
     revisions: tuple[str, ...] = ()
     settings: dict[str, Any] = field(default_factory=dict)
     conclusion: str = ""
+    command: str = ""
 
     @property
     def errors(self) -> list[Row]:
@@ -96,6 +99,7 @@ def write_report(report: Report, folder: Path) -> dict[str, Any]:
             for t in report.tables
         ],
         "conclusion": report.conclusion,
+        "command": report.command or f"regrasp-opt bench {report.name}",
     }
     write_csv(report.rows, folder / "rows.csv")
     with atomic_path(folder / "index.html") as temporary:
@@ -124,7 +128,7 @@ def write_document(folder: Path, path: Path) -> None:
 def write_page(summary: dict[str, Any], path: Path) -> None:
     """Write the tables of one experiment, whose `summary` `write_report` returned, to the Markdown file `path`."""
     lines = _section(summary, 1)
-    said = f"This page is written by `regrasp-opt bench {summary['name']}`."
+    said = f"This page is written by `{_command(summary)}`."
     _write_lines([*lines[:2], said, "", *lines[2:]], path)
 
 
@@ -154,11 +158,15 @@ def _summaries(folder: Path) -> list[dict[str, Any]]:
     return found
 
 
+def _command(summary: dict[str, Any]) -> str:
+    return str(summary.get("command") or f"regrasp-opt bench {summary['name']}")
+
+
 def _provenance(summary: dict[str, Any]) -> str:
     machine = summary["environment"]["machine"]
     settings = ", ".join(f"{key} {value}" for key, value in summary["settings"].items())
     revisions = ", ".join(summary["revisions"]) or "unknown"
-    command = f"regrasp-opt bench {summary['name']}" + (" --quick" if summary["settings"].get("quick") else "")
+    command = _command(summary) + (" --quick" if summary["settings"].get("quick") else "")
     return (
         f"Command: `{command}`. Settings: {settings}. Code: {revisions}. Machine: {machine['processor']}, "
         f"{machine['cores']} cores, accelerator: {machine['accelerator']}. Made {summary['made']}."

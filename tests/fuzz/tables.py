@@ -1,4 +1,4 @@
-"""The tables of `bench reliability`.
+"""The tables of the reliability campaign.
 
 Coverage and mutants are read from the files that `coverage json` and `tests/mutants.py` leave in the present folder;
 where there are none they are not measured.
@@ -13,7 +13,8 @@ from typing import Any
 
 from regrasp_opt.benchmarks.harness.report import Cell, Table
 from regrasp_opt.benchmarks.harness.runner import Row
-from regrasp_opt.benchmarks.reliability_plans import MAX_REGRASPS
+
+from .trials import MAX_REGRASPS
 
 
 def reliability_tables(rows: Sequence[Row]) -> tuple[Table, ...]:
@@ -47,7 +48,7 @@ def _summary(rows: Sequence[Row]) -> Table:
     lines: list[tuple[Cell, ...]] = [
         ("planning problems tried", len(plans), "2000"),
         (
-            "false positives: plans that their certificate refutes",
+            "false positives: plans that one of the two refutes",
             sum(bool(row["wrong"]) for row in plans) if plans else None,
             "0",
         ),

@@ -12,11 +12,12 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from regrasp_opt.benchmarks.reliability_plans import write_obstacles
 from regrasp_opt.errors import OptionError
 from regrasp_opt.motion import plan_motion
 from regrasp_opt.objects.builtin import build
 from regrasp_opt.planning import RegraspProblem, solve_sequence
+
+from .trials import write_obstacles
 
 _APP = "regrasp_opt.cli.app"
 """The command line; it stands above this layer and is looked up by name."""

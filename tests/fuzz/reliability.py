@@ -1,20 +1,32 @@
-"""`bench reliability`: plans in adversity, damaged input, killed and interrupted commands."""
+"""The reliability campaign: plans in adversity, damaged input, killed and interrupted commands.
+
+``python -m tests.fuzz.reliability``, from the repository, writes ``rows.csv``, ``summary.json``, ``index.html`` and the
+page ``reliability.md``; a run that was interrupted goes on where it stopped.
+"""
 
 from __future__ import annotations
 
+import argparse
 import signal
+import sys
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
-from regrasp_opt.benchmarks.faults import JOBS, kill_rows, signal_rows
-from regrasp_opt.benchmarks.fuzz_targets import TARGETS
-from regrasp_opt.benchmarks.fuzzing import fuzz_rows
 from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
-from regrasp_opt.benchmarks.harness.report import Report
+from regrasp_opt.benchmarks.harness.report import Report, write_page, write_report
 from regrasp_opt.benchmarks.harness.runner import Item, Row
 from regrasp_opt.benchmarks.harness.session import Session
 from regrasp_opt.benchmarks.harness.subjects import planning_key, prepared_problem
-from regrasp_opt.benchmarks.reliability_plans import (
+from regrasp_opt.errors import RegraspError
+from regrasp_opt.files import content_hash
+from regrasp_opt.planning import RegraspProblem
+
+from .faults import JOBS, kill_rows, signal_rows
+from .fuzzing import fuzz_rows
+from .tables import reliability_tables
+from .targets import TARGETS
+from .trials import (
     CONDITIONS,
     Condition,
     choose_pairs,
@@ -23,16 +35,14 @@ from regrasp_opt.benchmarks.reliability_plans import (
     trial_rows,
     workcells,
 )
-from regrasp_opt.benchmarks.reliability_tables import reliability_tables
-from regrasp_opt.errors import RegraspError
-from regrasp_opt.files import content_hash
-from regrasp_opt.planning import RegraspProblem
 
+COMMAND = "python -m tests.fuzz.reliability"
 TEXT = (
     "Plans between random poses, half of the pairs sharing no grasp, in several workcells, with all and with few "
-    "grasps; every claim of a plan is verified by its certificate, on the bodies that the planner knows too; every "
-    "failure is asked of an exact grid. Damaged files for every reader, and damaged command lines. prepare and bench "
-    "killed with SIGKILL, and ended with SIGINT and SIGTERM, at random moments."
+    "grasps; every claim of a plan is verified twice, by its certificate and from its file by the verifier of "
+    "tests/oracles, which shares no code with the planner; every failure is asked of an exact grid. Damaged files for "
+    "every reader, and damaged command lines. prepare and bench killed with SIGKILL, and ended with SIGINT and "
+    "SIGTERM, at random moments."
 )
 
 
@@ -67,7 +77,7 @@ class _Trials:
         bare, found = replace(self.problem), []
         for first in range(0, len(self.instances), TRIALS_AT_A_TIME):
             chosen = self.instances[first : first + TRIALS_AT_A_TIME]
-            depends = content_hash(key, instances_hash(chosen), seed)
+            depends = content_hash("verified-twice", key, instances_hash(chosen), seed)
             found.append(Item(chosen[0].name, depends, trial_rows, (bare, chosen, seed), self.columns))
         return found
 
@@ -91,6 +101,7 @@ def run_reliability(session: Session) -> Report:
         hashes,
         tuple(sorted(set(revisions))),
         {"quick": session.quick, "seed": session.seed, "oracle": str(session.coarse_grid), **vars(sizes)},
+        command=COMMAND,
     )
 
 
@@ -177,3 +188,30 @@ def _fault_items(session: Session, sizes: Sizes) -> list[Item]:
             columns = {"part": "faults", "command": name, "signal": number.name}
             items.append(Item(f"{number.name}/{name}", content_hash("signal", *sent), signal_rows, sent, columns))
     return items
+
+
+def main(words: list[str] | None = None) -> int:
+    """Run the campaign with the options `words`, write its files and return the exit code."""
+    parser = argparse.ArgumentParser(prog=COMMAND, description="Run the reliability campaign. Resumes.")
+    parser.add_argument("--quick", action="store_true", help="minutes instead of hours")
+    parser.add_argument("--objects", type=Path, help="folder of meshes to plan with besides the built-in ones")
+    parser.add_argument("--jobs", type=int, default=-1, help="worker processes; -1 uses all cores")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--out", type=Path, default=Path("benchmarks"), help="folder of the results; an interrupted run goes on there"
+    )
+    options = vars(parser.parse_args(words))
+    try:
+        session = Session(options.pop("out"), **options)
+        report = run_reliability(session)
+    except RegraspError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    folder = session.folder / report.name
+    write_page(write_report(report, folder), folder / f"{report.name}.md")
+    print(f"written: {folder / report.name}.md, {folder / 'index.html'}, {folder / 'summary.json'}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

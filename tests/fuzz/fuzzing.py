@@ -23,9 +23,11 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-from regrasp_opt.benchmarks.fuzz_targets import TARGETS, case, seeds
 from regrasp_opt.benchmarks.harness.runner import Row
 from regrasp_opt.errors import RegraspError
+
+from . import TESTS
+from .targets import TARGETS, case, seeds
 
 SILENCE = 10.0
 """Seconds that a reader may take over one file."""
@@ -34,7 +36,8 @@ MEMORY = 8 * 2**30
 READ, REFUSED = "read", "refused"
 _SHOWN = 3
 
-_WORK = "import sys; from regrasp_opt.benchmarks.fuzzing import work; work(sys.argv[1], *map(int, sys.argv[2:]))"
+_WORK = f"import sys; sys.path.append({TESTS!r}); from fuzz.fuzzing import work; "
+_WORK += "work(sys.argv[1], *map(int, sys.argv[2:]))"
 
 
 def fuzz_rows(name: str, seed: int, first: int, count: int) -> list[Row]:
@@ -124,8 +127,9 @@ def _raised(read: Any, path: Path) -> str:
     except RegraspError:
         return REFUSED
     except BaseException as error:  # whatever it is, it is what is looked for
-        frame = traceback.extract_tb(error.__traceback__)[-1]
-        own = [f for f in traceback.extract_tb(error.__traceback__) if "regrasp_opt" in f.filename][-1]
+        frames = traceback.extract_tb(error.__traceback__)
+        frame = frames[-1]
+        own = ([f for f in frames if "regrasp_opt" in f.filename] or frames)[-1]
         where = f"{Path(own.filename).name}:{own.lineno}"
         return f"traceback: {type(error).__name__} at {where} in {Path(frame.filename).name}: {error}"[:300]
     return READ

@@ -1,24 +1,28 @@
-"""`bench reliability` as a whole, at a size of seconds: its tables say what its rows say, and a second run resumes."""
+"""The reliability campaign as a whole, in seconds: its tables say what its rows say, and a second run resumes."""
 
 import signal
+import subprocess
+import sys
 import time
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 import trimesh
 
-from regrasp_opt.benchmarks import faults, reliability, reliability_plans
-from regrasp_opt.benchmarks.faults import JOBS, Job, signal_rows
-from regrasp_opt.benchmarks.fuzz_targets import TARGETS
+from fuzz import faults, reliability, trials
+from fuzz.faults import JOBS, Job, signal_rows
+from fuzz.reliability import Sizes, main, run_reliability
+from fuzz.targets import TARGETS
+from fuzz.trials import Condition, workcells
 from regrasp_opt.benchmarks.harness import session as session_module
 from regrasp_opt.benchmarks.harness.oracle import Resolution
 from regrasp_opt.benchmarks.harness.report import write_report
 from regrasp_opt.benchmarks.harness.session import Session
-from regrasp_opt.benchmarks.reliability import Sizes, run_reliability
-from regrasp_opt.benchmarks.reliability_plans import Condition, workcells
 from regrasp_opt.planning.problem import RegraspProblem
 
+ROOT = Path(__file__).parents[2]
 FEW = (Condition("20 grasps", 20), Condition("12 grasps", 12))
 WRITES = """
 import os, sys
@@ -66,7 +70,7 @@ def test_the_tables_say_what_the_rows_say_and_a_second_run_resumes(session):
     head, plan_table, file_table, fault_table = report.tables
     told = {row["what"]: row["measured"] for row in columns(head)}
     assert told["planning problems tried"] == len(plans) == 2
-    assert told["false positives: plans that their certificate refutes"] == 0
+    assert told["false positives: plans that one of the two refutes"] == 0
     assert all(row["wrong"] == "" for row in plans)
     assert told["damaged files and command lines tried"] == files["inputs"] == 3
     assert told["kills"] == kills["kills"] == 1
@@ -90,7 +94,7 @@ def test_a_trial_without_a_plan_is_asked_of_the_oracle(session, monkeypatch):
     monkeypatch.setattr(reliability, "JOBS", {})
     conditions = (Condition("20 grasps", 20), Condition("2 grasps", 2), Condition("paper's energy", 20, "paper"))
     monkeypatch.setattr(reliability, "CONDITIONS", conditions)
-    monkeypatch.setattr(reliability_plans, "TIME_LIMIT", 1e-9)  # no trial that needs a regrasp has the time for it
+    monkeypatch.setattr(trials, "TIME_LIMIT", 1e-9)  # no trial that needs a regrasp has the time for it
     report = run_reliability(replace(session, seed=2))
     rows = {row["condition"]: row for row in report.rows}
     assert not any(row["solved"] for row in rows.values())
@@ -117,13 +121,13 @@ def test_an_object_that_cannot_be_prepared_is_a_row_and_the_rest_runs_on(session
 def test_a_full_campaign_has_a_workcell_with_obstacles(tmp_path):
     assert [name for name, _ in workcells(tmp_path, True)] == ["nova2-w"]
     cells = dict(workcells(tmp_path, False))
-    assert list(cells) == [*reliability_plans.WORKCELLS, reliability_plans.OBSTACLES]
-    assert len(cells[reliability_plans.OBSTACLES].obstacles) == 3
+    assert list(cells) == [*trials.WORKCELLS, trials.OBSTACLES]
+    assert len(cells[trials.OBSTACLES].obstacles) == 3
 
 
 def test_few_grasps_are_drawn_of_all(bottle_problem):
     rng = session_module.Session("", names=()).rng(1)
-    few, ids = reliability_plans.reduced(bottle_problem, Condition("5 grasps", 5), rng)
+    few, ids = trials.reduced(bottle_problem, Condition("5 grasps", 5), rng)
     assert len(few.grasps) == len(set(ids)) == 5 and isinstance(few, RegraspProblem)
     assert (few.grasps.T_object_tcp == bottle_problem.grasps.T_object_tcp[ids]).all()
 
@@ -172,3 +176,24 @@ def test_a_command_that_is_done_before_the_signal_is_not_counted_but_its_files_a
     monkeypatch.setitem(JOBS, "job", Job(("import sys; open(sys.argv[1], 'w').write('{')", "{}/half.json"), 1.0))
     [row] = signal_rows("job", signal.SIGTERM, 0, 1)
     assert (row["sent"], row["slowest"], row["codes"], row["half_files"]) == (0, 0.0, "", 1)
+
+
+def test_the_command_writes_its_page_and_refuses_a_folder_without_meshes(session, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(reliability, "Session", lambda folder, **options: replace(session, folder=folder))
+    monkeypatch.setattr(reliability, "CONDITIONS", ())
+    monkeypatch.setattr(reliability, "JOBS", {})
+    assert main(["--quick", "--seed", "1", "--out", str(tmp_path / "results")]) == 0
+    page = tmp_path / "results" / "reliability" / "reliability.md"
+    assert f"written: {page}" in capsys.readouterr().out
+    assert "This page is written by `python -m tests.fuzz.reliability`." in page.read_text("utf-8")
+    assert "Command: `python -m tests.fuzz.reliability --quick`." in page.read_text("utf-8")
+    monkeypatch.setattr(reliability, "Session", Session)
+    assert main(["--objects", str(tmp_path / "none"), "--out", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.startswith("error: ")
+
+
+def test_it_runs_from_the_repository_and_its_readers_in_processes_of_their_own(tmp_path):
+    code = "from tests.fuzz.fuzzing import fuzz_rows; [row] = fuzz_rows('pose', 0, 0, 2); print(row['inputs'])"
+    for command in (["-m", "tests.fuzz.reliability", "--help"], ["-c", code]):
+        done = subprocess.run([sys.executable, *command], cwd=ROOT, capture_output=True, text=True, check=True)
+        assert "--objects" in done.stdout or done.stdout == "2\n"

@@ -15,9 +15,6 @@ from xml.etree.ElementTree import ParseError
 import numpy as np
 import trimesh
 
-from regrasp_opt.benchmarks import fuzz_mutations as damage
-from regrasp_opt.benchmarks.fuzz_commands import command_lines, run_command_line
-from regrasp_opt.benchmarks.reliability_plans import DATA, write_obstacles
 from regrasp_opt.conventions import translation
 from regrasp_opt.end_effectors import load_end_effector
 from regrasp_opt.energy.storage import load_energy
@@ -31,6 +28,10 @@ from regrasp_opt.planning.model_store import REPORT_FILE
 from regrasp_opt.planning.pose_text import parse_pose
 from regrasp_opt.robots import load_robot
 from regrasp_opt.workcell import load_workcell
+
+from . import mutations as damage
+from .commands import command_lines, run_command_line
+from .trials import DATA, write_obstacles
 
 _MODEL = DATA / "models" / "bottle-nova2-w"
 Damage = Callable[[bytes, np.random.Generator], bytes]

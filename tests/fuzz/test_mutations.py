@@ -7,7 +7,7 @@ import struct
 import numpy as np
 import pytest
 
-from regrasp_opt.benchmarks import fuzz_mutations as damage
+from fuzz import mutations as damage
 
 JSON = json.dumps({"a": [1, 2.5, {"b": None}], "c": "text", "d": {"e": [0.0] * 3}}).encode()
 XML = b'<robot name="r"><link name="a"><origin xyz="0 0 1"/></link><joint name="j" type="fixed"/></robot>'

@@ -1,14 +1,16 @@
-"""The adversarial part of `bench reliability`: no wrong plan may get out, no good one may get lost.
+"""Plans in adversity: no wrong plan may get out, no good one may get lost.
 
 Every trial plans between two random poses, half of the pairs sharing no grasp. All refined candidates are kept that
 the learned energy takes for plans (every pair of neighbours has a grasp whose summed energies are below the threshold
 ``h``, Alg. 2), and checked exactly: the share that fails is what an optimiser gains by seeking out the model's
-mistakes. Every claim of the plan that comes out is verified by its certificate. A trial that ends without a plan is
-asked of the exact grid oracle.
+mistakes. Every claim of the plan that comes out is verified twice: by its certificate, and by the verifier of
+`tests/oracles`, from what the plan's file says. A trial that ends without a plan is asked of the exact grid oracle.
 """
 
 from __future__ import annotations
 
+import json
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from importlib.resources import files
@@ -16,6 +18,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from oracles.plans import PlanVerifier
 
 from regrasp_opt.benchmarks.harness.instances import Instance, PosePool
 from regrasp_opt.benchmarks.harness.oracle import Oracle
@@ -24,7 +27,7 @@ from regrasp_opt.benchmarks.harness.subjects import resident
 from regrasp_opt.benchmarks.paper.hard_tiers import with_obstacles
 from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.files import atomic_path
-from regrasp_opt.planning import Recipe, RegraspProblem, solve_sequence
+from regrasp_opt.planning import Recipe, RegraspPlan, RegraspProblem, solve_sequence
 from regrasp_opt.planning.verification import PoseKnowledge, prove_sequence
 from regrasp_opt.shapes import Box
 from regrasp_opt.solvers import Candidates, NlpRefiner, RecordingRefiner
@@ -102,11 +105,25 @@ def choose_pairs(pool: PosePool, count: int, rng: np.random.Generator, prefix: s
 
 def trial_rows(problem: RegraspProblem, instances: list[Instance], seed: int) -> list[Row]:
     """Return one row for each of `instances`."""
-    problem = resident(problem)
-    return [_trial(problem, instance, seed) for instance in instances]
+    problem, verifier = resident(problem), _Verifier()
+    return [_trial(problem, instance, seed, verifier) for instance in instances]
 
 
-def _trial(problem: RegraspProblem, instance: Instance, seed: int) -> Row:
+class _Verifier:
+    """Verifies plans of one problem, with bodies that are read once, from the files that the first plan names."""
+
+    def __init__(self) -> None:
+        self._verifier: PlanVerifier | None = None
+
+    def problems(self, plan: RegraspPlan) -> list[str]:
+        with tempfile.TemporaryDirectory() as folder:
+            plan.save(Path(folder) / "plan.json")
+            content = json.loads((Path(folder) / "plan.json").read_text("utf-8"))
+        self._verifier = self._verifier or PlanVerifier(content)
+        return [*plan.residuals().problems, *self._verifier.problems(content)]
+
+
+def _trial(problem: RegraspProblem, instance: Instance, seed: int, verifier: _Verifier) -> Row:
     recorder = RecordingRefiner(NlpRefiner(), paths=False)
     plan = solve_sequence(
         problem,
@@ -118,7 +135,7 @@ def _trial(problem: RegraspProblem, instance: Instance, seed: int) -> Row:
         time_limit=TIME_LIMIT,
     )
     low, failed = _low_energy(problem, instance, [batch.refinement.candidates for batch in recorder.batches])
-    wrong = plan.residuals().problems if plan.solved else ()
+    wrong = verifier.problems(plan) if plan.solved else []
     return {
         "pair": instance.name,
         "status": plan.status.name.lower(),

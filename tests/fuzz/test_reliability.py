@@ -8,14 +8,14 @@ import pytest
 import typer
 from verifying import plan_verifier
 
+from fuzz import fuzzing, targets
+from fuzz.faults import JOBS, Job, finish, half_files, kill_rows, results
+from fuzz.fuzzing import fuzz_rows, read_once
+from fuzz.tables import branch_coverage, mutants, reliability_tables
+from fuzz.targets import TARGETS, Target, case
+from fuzz.trials import choose_pairs, trial_rows, write_obstacles
 from regrasp_opt import RegraspProblem
-from regrasp_opt.benchmarks import fuzz_targets, fuzzing
-from regrasp_opt.benchmarks.faults import JOBS, Job, finish, half_files, kill_rows, results
-from regrasp_opt.benchmarks.fuzz_targets import TARGETS, Target, case
-from regrasp_opt.benchmarks.fuzzing import fuzz_rows, read_once
 from regrasp_opt.benchmarks.harness.instances import PosePool
-from regrasp_opt.benchmarks.reliability_plans import choose_pairs, trial_rows, write_obstacles
-from regrasp_opt.benchmarks.reliability_tables import branch_coverage, mutants, reliability_tables
 from regrasp_opt.cli import check as check_command
 from regrasp_opt.errors import MeshError
 from regrasp_opt.workcell import load_workcell
@@ -40,12 +40,12 @@ def test_readers_take_or_refuse_damaged_files(name, folder):
 
 @pytest.mark.parametrize("name", [name for name in TARGETS if name != "command line"])
 def test_undamaged_files_are_read(name, folder):
-    for suffix, content in fuzz_targets.seeds(name, folder):
+    for suffix, content in targets.seeds(name, folder):
         assert read_once(name, suffix, content, folder) == "read"
 
 
 def test_command_lines_are_run_among_their_files(folder):
-    lines = {content: json.loads(content) for _, content in fuzz_targets.seeds("command line", folder)}
+    lines = {content: json.loads(content) for _, content in targets.seeds("command line", folder)}
     begun = {content: read_once("command line", ".json", content, folder) for content in lines}
     refused = [words for content, words in lines.items() if begun[content] == "refused"]
     assert set(begun.values()) == {"read", "refused"}
@@ -194,7 +194,7 @@ def test_the_summary_counts_what_the_rows_hold(tmp_path, monkeypatch):
     rows += [{"part": "faults", "command": "bench", "signal": "SIGKILL", "kills": 7, "half_files": 0, "failed": 1}]
     rows += [{"part": "faults", "command": "bench", "signal": "SIGINT", "sent": 2, "slowest": 1.5, "half_files": 0}]
     found = summary(rows)
-    assert found["planning problems tried"] == 7 and found["false positives: plans that their certificate refutes"] == 0
+    assert found["planning problems tried"] == 7 and found["false positives: plans that one of the two refutes"] == 0
     assert found["false negatives: solvable on the exact grid, but not solved"] == 1
     assert found["false negatives, share of the solvable [%]"] == 25.0
     assert found["tracebacks, crashes, hangs, files harmed"] == 1
@@ -202,7 +202,7 @@ def test_the_summary_counts_what_the_rows_hold(tmp_path, monkeypatch):
     assert found["kills"] == 7 and found["half files, runs that did not recover, other results"] == 1
     assert found["longest time to end [s]"] == 1.5
     assert found["branch coverage [%]"] is None and found["mutants killed [%]"] is None
-    assert summary([{**rows[0], "wrong": "x"}])["false positives: plans that their certificate refutes"] == 1
+    assert summary([{**rows[0], "wrong": "x"}])["false positives: plans that one of the two refutes"] == 1
     assert "3: crash" in reliability_tables(rows)[2].note
 
 
