@@ -187,6 +187,8 @@ class RobotFile:
         For each link the number of the last of these joints that moves it; 0 for what never moves.
     seat : str
         The link in which the first of them turns.
+    joined : set of frozenset
+        The two links that each of them connects.
     """
 
     xml: str
@@ -195,6 +197,7 @@ class RobotFile:
     joints: list[str]
     group: dict[str, int]
     seat: str
+    joined: set[frozenset[str]]
     limits: np.ndarray
     speeds: np.ndarray
 
@@ -248,6 +251,7 @@ def read_urdf(path, tip=None, packages=()):
         [joint.get("name") for joint in chain],
         groups,
         chain[0].find("parent").get("link"),
+        {frozenset(joint.find(tag).get("link") for tag in ("parent", "child")) for joint in chain},
         np.array([_limits(joint) for joint in chain]),
         np.array([_number(joint, "velocity", np.pi) for joint in chain]),
     )

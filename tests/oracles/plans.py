@@ -201,7 +201,8 @@ class PlanVerifier:
             arm, other = (a, b) if a.part == "arm" else (b, a)
             moving = arm.part == "arm" and arm.group > 0
             if a.part == b.part == "arm":
-                apart = abs(a.group - b.group) > 1 and frozenset((a.link, b.link)) not in self.cell.ignored
+                touching = {*self.cell.ignored, *robot.joined}
+                apart = a.group != b.group and frozenset((a.link, b.link)) not in touching
                 return (near["self_collision"], False) if apart else None
             if other.part in ("table", "obstacle", "fixed", "object") and moving:
                 ignored = other.part == "fixed" and frozenset((a.link, b.link)) in self.cell.ignored

@@ -16,6 +16,7 @@ from oracles.plans import PlanVerifier
 from regrasp_opt import RegraspProblem, solve_sequence
 from regrasp_opt.conventions import translation
 from regrasp_opt.planning.tasks import random_task
+from regrasp_opt.robots import load_robot
 from regrasp_opt.shapes import Box, Cylinder, Mesh
 
 ROOT = Path(__file__).parents[2]
@@ -184,6 +185,22 @@ def test_obstacles_of_every_kind_are_seen(bottle_problem, plan, kind):
     hand[:3, 3] = (T @ plan.problem.grasps.T_object_tcp[plan.transitions[0].grasp_ids[0]])[:3, 3] + [0, 0, 0.05]
     cell = replace(bottle_problem.workcell, obstacles=(obstacle(kind, hand),))
     assert any("part" in text for text in body_verifier(bottle_problem.object, cell).collisions(q, T, 0.06))
+
+
+def test_what_is_fixed_to_a_link_may_not_touch_the_next_one(bottle_problem, plan, tmp_path):
+    robot, q = bottle_problem.workcell.robot, plan.transitions[0].q_pick[0]
+    _, T_base_2, T_base_3, *_ = robot.link_transforms(q)
+    in_3 = (np.linalg.inv(T_base_2) @ T_base_3 @ [-0.11, 0.0, -0.009, 1.0])[
+        :3
+    ]  # the middle of link 3, seen from link 2
+    text = Path(robot.urdf_path).read_text("utf-8").removesuffix("</robot>\n")
+    text += '<link name="bracket"><collision><geometry><sphere radius="0.02"/></geometry></collision></link>'
+    text += f'<joint name="to_bracket" type="fixed"><origin xyz="{" ".join(map(str, in_3))}"/>'
+    (tmp_path / "arm.urdf").write_text(f'{text}<parent link="link2"/><child link="bracket"/></joint></robot>')
+    cell = replace(bottle_problem.workcell, robot=load_robot(tmp_path / "arm.urdf", tip="flange", home=robot.home))
+    assert set(cell.robot.colliding_links(q)) == {"bracket", "link3"}
+    said = body_verifier(bottle_problem.object, cell).collisions(q, plan.poses[0], 0.06)
+    assert any("bracket" in text and "link3" in text for text in said)
 
 
 def test_what_is_wholly_inside_a_closed_body_is_seen(bottle_problem):
