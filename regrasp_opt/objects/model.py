@@ -70,6 +70,8 @@ class ObjectModel:
 
     def rolls(self, T: FloatArray) -> bool:
         """Return whether the object can roll where it rests at the pose `T` (4, 4) on a level table."""
+        if any(T[2, :3] @ placement.pose[2, :3] > 1.0 - 1e-9 for placement in self.placements):
+            return False
         return self._hull.rolls(self._hull.facet_below(-T[2, :3]))
 
     @cached_property

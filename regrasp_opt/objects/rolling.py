@@ -88,11 +88,15 @@ class Hull:
         # The body turns about the edge; it passes over it where the foot of the perpendicular is between the normals.
         foot = self._middle - (self._middle * self._along).sum(axis=1, keepdims=True) * self._along
         between = (np.cross(a, foot) * np.cross(foot, b)).sum(axis=1) > 0
-        ends = self.heights[self._from], self.heights[self._to]
+        sides = self.heights[self._from], self.heights[self._to]
         self._reach = np.linalg.norm(foot, axis=1)
-        self._pass = np.where(between, self._reach, np.maximum(*ends))
-        self._lower = np.minimum(*ends)
+        self._pass = np.where(between, self._reach, np.maximum(*sides))
+        self._lower = np.minimum(*sides)
         self._face = self._joined(self._step <= _FLAT)
+        borders = np.flatnonzero(self._face[self._from] != self._face[self._to])
+        borders = borders[np.argsort(self._face[self._from[borders]], kind="stable")]
+        ends = np.searchsorted(self._face[self._from[borders]], np.arange(1, self._face.max() + 1))
+        self._borders: list[IntArray] = np.split(borders, ends)  # of each face, the edges that leave it
 
     def rolls(self, facet: int) -> bool:
         """Return whether the body rolls away from triangle `facet`, or rocks on it."""
@@ -130,10 +134,8 @@ class Hull:
 
     def _small_steps(self, facet: int) -> IntArray:
         """Return the edges at which a face begins that is tilted a little against that of `facet`."""
-        return np.flatnonzero(self._leaving(self._face[facet]) & (self._step <= _LARGEST_STEP))
-
-    def _leaving(self, face: int) -> np.ndarray:
-        return (self._face[self._from] == face) & (self._face[self._to] != face)
+        edges = self._borders[self._face[facet]]
+        return edges[self._step[edges] <= _LARGEST_STEP]
 
     def _side(self, facet: int, edge: int) -> list[int]:
         """Return the face of `facet` and its neighbours over `edge` and opposite, if these lead along a round side."""
@@ -152,7 +154,8 @@ class Hull:
         _, width = self._across(edge)
         step = self._step[edge]
         while self._step[edge] <= _LARGEST_STEP and _alike(self._step[edge], step):
-            back = int(np.flatnonzero((self._from == self._to[edge]) & (self._to == self._from[edge]))[0])
+            first = 3 * self._to[edge]  # each triangle has three edges in a row
+            back = int(first + np.argmax(self._to[first : first + 3] == self._from[edge]))
             following, beyond = self._across(back)
             face = int(self._face[self._to[edge]])
             if following is None or not _alike(width, beyond) or face in faces:
@@ -164,9 +167,8 @@ class Hull:
     def _across(self, edge: int) -> tuple[int | None, float]:
         """Return the edge opposite `edge` on the face that `edge` leaves, None without one, and its distance [m]."""
         start = self._from[edge]
-        parallel = np.flatnonzero(
-            self._leaving(self._face[start]) & (np.abs(self._along @ self._along[edge]) >= _PARALLEL)
-        )
+        parallel = self._borders[self._face[start]]
+        parallel = parallel[np.abs(self._along[parallel] @ self._along[edge]) >= _PARALLEL]
         sideways = np.cross(self._along[edge], self.normals[start])
         away = np.abs((self._middle[parallel] - self._middle[edge]) @ sideways)
         farthest = int(np.argmax(away))
