@@ -130,6 +130,8 @@ def test_scale_turns_millimetres_into_metres(tmp_path: Path) -> None:
             load_object(path, scale=scale)
         with pytest.raises(OptionError, match="scale"):
             load_object("mug", scale=scale)
+    with pytest.raises(MeshError, match="inf m long"):
+        load_object(path, scale=1e308)
     for scale in (1e-320, 0.01, 100.0, 1e308):
         with pytest.raises(OptionError, match="give one that makes it"):
             load_object("mug", scale=scale)
