@@ -140,8 +140,8 @@ def _derivatives(result: dict[str, float]) -> str:
         f"{table(header, lines)}\n\nLargest difference: {result['difference']:.1e}. CasADi differentiates the plainly "
         "built cost, whose matrix products go through the same BLAS as ours. The products of its derivatives do not: "
         "CasADi gives them to its own loops, whatever is asked for. In the columns 'all by BLAS' they were made to, "
-        "by derivative rules of our own for the product; what is left of the ratio there is our second-order pass. One "
-        "BLAS thread; timed in turn."
+        "by derivative rules of our own for the product; what is left of the ratio there is our second-order pass. "
+        "Processor time of one thread; timed in turn."
     )
 
 
