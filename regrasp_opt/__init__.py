@@ -25,7 +25,7 @@ if TYPE_CHECKING:
         solve_sequence,
     )
     from regrasp_opt.planning.prepare import prepare
-    from regrasp_opt.workcell import load_workcell
+    from regrasp_opt.scene import load_workcell
 
 _HOMES = {
     "CostOptions": "connectivity",
@@ -37,7 +37,7 @@ _HOMES = {
     "Status": "planning",
     "Transition": "planning",
     "load_object": "objects",
-    "load_workcell": "workcell",
+    "load_workcell": "scene",
     "prepare": "planning.prepare",
     "solve_sequence": "planning",
 }

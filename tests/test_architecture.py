@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import networkx
 import pytest
 
 if sys.version_info >= (3, 11):
@@ -16,9 +17,10 @@ else:
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "regrasp_opt"
 LAYERS = [
-    {"collada", "conventions", "errors", "files", "mesh_files", "schemas", "shapes", "solids", "threads", "workers"},
+    {"conventions", "errors", "files", "schemas", "threads", "workers"},
+    {"geometry"},
     {"objects", "end_effectors", "robots"},
-    {"workcell"},
+    {"scene"},
     {"grasps"},
     {"feasibility"},
     {"energy"},
@@ -31,11 +33,28 @@ LAYERS = [
 ]
 RANK = {name: rank for rank, layer in enumerate(LAYERS) for name in layer}
 MODULES = sorted(PACKAGE.rglob("*.py")) + sorted((PACKAGE / "solvers").glob("*.py"))
-ROBOT_FREE = {"solvers": {"objects", "end_effectors", "robots", "workcell", "feasibility", "planning"}}
+ROBOT_FREE = {"solvers": {"objects", "end_effectors", "robots", "scene", "feasibility", "planning"}}
 
 
 def _layer_of(path: Path) -> str:
     return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def _module(path: Path) -> str:
+    parts = ("regrasp_opt", *path.relative_to(PACKAGE).with_suffix("").parts)
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def _imported_modules(path: Path, known: set[str]) -> set[str]:
+    """Return the modules of the package that a module imports anywhere, in functions and for types as well."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("regrasp_opt"):
+            inner = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= (inner & known) or {node.module}
+        elif isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+    return found & known
 
 
 def _imports(path: Path) -> set[str]:
@@ -59,6 +78,15 @@ def test_modules_import_from_lower_layers_only(path):
     assert not _imports(path) & ROBOT_FREE.get(layer, set())
 
 
+def test_no_import_cycles():
+    modules = {_module(path): path for path in MODULES}
+    graph = networkx.DiGraph()
+    for name, path in modules.items():
+        if name != "regrasp_opt":  # it names its parts, lazily
+            graph.add_edges_from((name, other) for other in _imported_modules(path, set(modules)) - {"regrasp_opt"})
+    assert not [sorted(ring) for ring in networkx.strongly_connected_components(graph) if len(ring) > 1]
+
+
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
 def test_modules_are_short(path):
     assert len(path.read_text(encoding="utf-8").splitlines()) <= 400
@@ -67,7 +95,9 @@ def test_modules_are_short(path):
 def test_package_list_is_the_folders_on_disk():
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
     on_disk = {
-        "regrasp_opt." + ".".join(path.parent.relative_to(PACKAGE).parts) for path in PACKAGE.rglob("*/__init__.py")
+        "regrasp_opt." + ".".join(path.parent.relative_to(PACKAGE).parts)
+        for path in [*PACKAGE.rglob("__init__.py"), *PACKAGE.glob("solvers/__init__.py")]
+        if path.parent != PACKAGE
     }
     assert set(settings["packages"]) == on_disk | {"regrasp_opt"}
     assert settings["package-dir"] == {"regrasp_opt.solvers": "solvers"}

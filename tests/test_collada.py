@@ -10,7 +10,7 @@ import trimesh
 from dae_files import collada, polygons, polylist, triangles
 
 from regrasp_opt.errors import MeshError
-from regrasp_opt.mesh_files import read_triangles
+from regrasp_opt.geometry.mesh_files import read_triangles
 
 BOX = trimesh.creation.box((0.1, 0.2, 0.3))
 QUADS = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]

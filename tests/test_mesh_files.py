@@ -7,7 +7,7 @@ from oracles.files import DATA
 
 from regrasp_opt import load_object, load_workcell
 from regrasp_opt.errors import MeshError, WorkcellError
-from regrasp_opt.mesh_files import read_triangles
+from regrasp_opt.geometry.mesh_files import read_triangles
 from regrasp_opt.robots import load_robot
 
 ARM = """<robot name="arm"><link name="base"/><link name="tool0"><collision><geometry><mesh filename="part.ply"/>

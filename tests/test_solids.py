@@ -6,8 +6,8 @@ import pytest
 import trimesh
 
 from regrasp_opt.conventions import translation
-from regrasp_opt.shapes import mesh_geometry
-from regrasp_opt.solids import Solid, distance, find_shells, nested
+from regrasp_opt.geometry.shapes import mesh_geometry
+from regrasp_opt.geometry.solids import Solid, distance, find_shells, nested
 
 BOX = trimesh.creation.box((1, 1, 1))
 SMALL = trimesh.creation.box((0.5, 0.5, 0.5))

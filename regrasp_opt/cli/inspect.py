@@ -23,7 +23,7 @@ from regrasp_opt.planning.inspection import (
     describe_object,
     describe_workcell,
 )
-from regrasp_opt.workcell import Workcell, load_workcell
+from regrasp_opt.scene import Workcell, load_workcell
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from rich.table import Table
 from regrasp_opt.cli.output import make_console
 from regrasp_opt.objects import load_object
 from regrasp_opt.planning.prepare import prepare
-from regrasp_opt.workcell import load_workcell
+from regrasp_opt.scene import load_workcell
 
 logger = logging.getLogger(__name__)
 

@@ -13,8 +13,8 @@ from pydantic import AfterValidator, Field, model_validator
 from regrasp_opt.conventions import translation
 from regrasp_opt.end_effectors.model import EndEffector, Pad, default_pad
 from regrasp_opt.errors import UnknownNameError, WorkcellError
+from regrasp_opt.geometry.shapes import Box, Cylinder
 from regrasp_opt.schemas import Section, ascending, read_toml
-from regrasp_opt.shapes import Box, Cylinder
 
 END_EFFECTOR_NAMES = ("w", "r140", "r85", "s1", "s2", "s3")
 """The built-in end-effectors: gripper W, Robotiq-140, Robotiq-85, suction cups S1, S2 and S3."""

@@ -11,7 +11,7 @@ import numpy as np
 from regrasp_opt.conventions import FloatArray, invert, translation
 from regrasp_opt.errors import WorkcellError
 from regrasp_opt.files import content_hash
-from regrasp_opt.shapes import Box, Cylinder, Shape
+from regrasp_opt.geometry.shapes import Box, Cylinder, Shape
 
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 """Reflection through the x-z plane of the flange frame, which swaps the two fingers."""

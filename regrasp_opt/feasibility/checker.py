@@ -19,11 +19,11 @@ from regrasp_opt.errors import GraspError
 from regrasp_opt.feasibility.geometry import static_bodies
 from regrasp_opt.feasibility.scene import CollisionScene
 from regrasp_opt.feasibility.standing import standing_problem
+from regrasp_opt.geometry.shapes import mesh_geometry, surface_points
+from regrasp_opt.geometry.solids import Solid, nested
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel
-from regrasp_opt.shapes import mesh_geometry, surface_points
-from regrasp_opt.solids import Solid, nested
-from regrasp_opt.workcell import Workcell
+from regrasp_opt.scene import Workcell
 
 PAIRS_AT_ONCE = 20_000
 """Pairs that are checked together, in some ten MB of corners and branches, however many are asked for."""

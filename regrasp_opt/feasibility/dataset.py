@@ -21,7 +21,7 @@ from regrasp_opt.feasibility.diagnosis import diagnose_poses, summary
 from regrasp_opt.files import UNREADABLE_ARRAYS, atomic_path, content_hash, machine_memory
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel
-from regrasp_opt.workcell import Workcell
+from regrasp_opt.scene import Workcell
 from regrasp_opt.workers import workers
 
 POSES_PER_BLOCK = 200

@@ -6,8 +6,8 @@ from typing import Any
 
 import coal
 
-from regrasp_opt.shapes import shape_geometry
-from regrasp_opt.workcell import Workcell
+from regrasp_opt.geometry.shapes import shape_geometry
+from regrasp_opt.scene import Workcell
 
 
 def static_bodies(workcell: Workcell) -> list[tuple[Any, str]]:

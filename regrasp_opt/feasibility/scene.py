@@ -3,7 +3,7 @@
 The gripper's fingers are boxes swept from the grasp width to the width at which the gripper approaches, so one test
 covers every opening between the two. What touches by design is not tested: fingers and cup against the object (the
 grasp sampler has proved them free but for the contact), the object against the table it stands on, what stands still
-against each other; for the robot's own bodies see `regrasp_opt.workcell.pairs`.
+against each other; for the robot's own bodies see `regrasp_opt.scene.pairs`.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ import numpy as np
 import pinocchio as pin
 
 from regrasp_opt.conventions import FloatArray
+from regrasp_opt.geometry.shapes import mesh_geometry, shape_geometry
+from regrasp_opt.geometry.solids import Containment, overlap
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.robots.queries import settle_queries
-from regrasp_opt.shapes import mesh_geometry, shape_geometry
-from regrasp_opt.solids import Containment, overlap
-from regrasp_opt.workcell import Workcell
-from regrasp_opt.workcell.pairs import arm_pairs
+from regrasp_opt.scene import Workcell
+from regrasp_opt.scene.pairs import arm_pairs
 
 _WORLD = 0
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from regrasp_opt.conventions import RESTING_TOLERANCE, FloatArray
-from regrasp_opt.workcell import Workcell
+from regrasp_opt.scene import Workcell
 
 
 def standing_problem(vertices: FloatArray, workcell: Workcell) -> str | None:

@@ -13,10 +13,10 @@ import coal
 import numpy as np
 
 from regrasp_opt.conventions import FloatArray, invert
+from regrasp_opt.geometry.shapes import shape_geometry
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.robots import Robot
-from regrasp_opt.shapes import shape_geometry
-from regrasp_opt.workcell import Workcell
+from regrasp_opt.scene import Workcell
 
 _ON_AXIS = 1e-6
 """How far from the last joint's axis [m], or turned from it [rad], a body may be that is taken to be symmetric."""

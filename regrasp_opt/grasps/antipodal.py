@@ -11,9 +11,9 @@ import numpy as np
 
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.end_effectors import EndEffector
-from regrasp_opt.grasps.candidates import Candidates, frames_about
+from regrasp_opt.grasps.candidates import GraspCandidates, frames_about
 from regrasp_opt.grasps.clearance import GripperClearance
-from regrasp_opt.grasps.surface import Surface, cast_rays, sample_points, tangents
+from regrasp_opt.grasps.surface import TriangleSurface, cast_rays, sample_points, tangents
 
 FRICTION = 0.5
 """Coefficient of friction at both contacts."""
@@ -35,12 +35,12 @@ PAD_RIM = 0.004
 
 
 def antipodal_candidates(
-    surface: Surface,
+    surface: TriangleSurface,
     end_effector: EndEffector,
     clearance: GripperClearance,
     points: int,
     rng: np.random.Generator,
-) -> Candidates:
+) -> GraspCandidates:
     """Return collision-free grasps from `points` surface points, two rays each and `APPROACHES` directions.
 
     The grade is 0 for all.
@@ -64,11 +64,11 @@ def antipodal_candidates(
             left = left[~free]
         frames, contact = frames[rejected], contact[rejected]
     T, width = np.concatenate(poses), np.concatenate(widths)
-    return Candidates(T, width, np.zeros(len(T), dtype=np.int64))
+    return GraspCandidates(T, width, np.zeros(len(T), dtype=np.int64))
 
 
 def contact_pairs(
-    surface: Surface, end_effector: EndEffector, points: int, rng: np.random.Generator
+    surface: TriangleSurface, end_effector: EndEffector, points: int, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return midpoints (C, 3) [m], closing directions (C, 3) and distances (C,) [m] of antipodal contacts."""
     start, face = sample_points(surface, points, rng)

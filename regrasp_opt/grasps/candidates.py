@@ -10,16 +10,16 @@ from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
 from regrasp_opt.grasps.surface import tangents
 
 
-class Candidates(NamedTuple):
+class GraspCandidates(NamedTuple):
     """TCP poses in the object frame (N, 4, 4), jaw widths (N,) [m] and grades (N,), 0 the best."""
 
     T_object_tcp: FloatArray
     width: FloatArray
     grade: IntArray
 
-    def where(self, mask: BoolArray) -> Candidates:
+    def where(self, mask: BoolArray) -> GraspCandidates:
         """Return those for which `mask` (N,) is true."""
-        return Candidates(self.T_object_tcp[mask], self.width[mask], self.grade[mask])
+        return GraspCandidates(self.T_object_tcp[mask], self.width[mask], self.grade[mask])
 
 
 def frames_about(

@@ -13,10 +13,10 @@ import numpy as np
 
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
 from regrasp_opt.end_effectors import EndEffector
+from regrasp_opt.geometry.shapes import Box, Cylinder, Shape
+from regrasp_opt.geometry.solids import Solid
 from regrasp_opt.grasps.grasp_set import GraspSet
 from regrasp_opt.objects import ObjectModel
-from regrasp_opt.shapes import Box, Cylinder, Shape
-from regrasp_opt.solids import Solid
 
 CONTACT_TOLERANCE = 0.001
 """How far each finger stands beyond its contact where it must be clear of the object [m]."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -46,6 +46,10 @@ class GraspSet:
     T_object_tcp: FloatArray
     width: FloatArray
     kind: Literal["parallel", "suction"]
+
+    if TYPE_CHECKING:  # what is taken is more than what is kept
+
+        def __init__(self, T_object_tcp: ArrayLike, width: ArrayLike, kind: Literal["parallel", "suction"]) -> None: ...
 
     def __post_init__(self) -> None:
         T, width = _numbers(self.T_object_tcp, "poses"), _numbers(self.width, "widths")

@@ -17,7 +17,7 @@ from regrasp_opt.grasps.antipodal import FRICTION, WIDENINGS, contact_depths
 from regrasp_opt.grasps.clearance import CONTACT_TOLERANCE, gripper_free
 from regrasp_opt.grasps.grasp_set import GraspSet
 from regrasp_opt.grasps.suction import NO_SEAL, mouth_grades
-from regrasp_opt.grasps.surface import Surface, cast_rays, make_surface
+from regrasp_opt.grasps.surface import TriangleSurface, cast_rays, make_surface
 from regrasp_opt.objects import ObjectModel
 
 ROUNDING = 1e-4
@@ -67,7 +67,7 @@ def hold_failures(grasps: GraspSet, model: ObjectModel, end_effector: EndEffecto
     return failures_on(make_surface(model.mesh), grasps, end_effector)
 
 
-def failures_on(surface: Surface, grasps: GraspSet, end_effector: EndEffector) -> list[Failure | None]:
+def failures_on(surface: TriangleSurface, grasps: GraspSet, end_effector: EndEffector) -> list[Failure | None]:
     """Return what `hold_failures` does, for the surface of an object."""
     if end_effector.kind == "suction":
         return _cup_failures(surface, grasps.T_object_tcp, end_effector.cup_radius)
@@ -75,7 +75,16 @@ def failures_on(surface: Surface, grasps: GraspSet, end_effector: EndEffector) -
 
 
 def rejected_grasps(grasps: GraspSet, model: ObjectModel, end_effector: EndEffector) -> dict[int, Failure]:
-    """Return the numbers of the grasps that cannot be used, and why: those that do not hold, or overlap the object."""
+    """Return the numbers of the grasps that cannot be used, and why: those that do not hold, or overlap the object.
+
+    Parameters
+    ----------
+    grasps : GraspSet
+    model : ObjectModel
+        The object that they hold.
+    end_effector : EndEffector
+        What holds it.
+    """
     failures = hold_failures(grasps, model, end_effector)
     for index in np.flatnonzero(~gripper_free(grasps, model, end_effector)).tolist():
         if failures[index] is not Failure.TOO_WIDE:
@@ -83,7 +92,7 @@ def rejected_grasps(grasps: GraspSet, model: ObjectModel, end_effector: EndEffec
     return {index: failure for index, failure in enumerate(failures) if failure is not None}
 
 
-def _jaw_failures(surface: Surface, grasps: GraspSet, effector: EndEffector) -> list[Failure | None]:
+def _jaw_failures(surface: TriangleSurface, grasps: GraspSet, effector: EndEffector) -> list[Failure | None]:
     found: list[Failure | None] = [None] * len(grasps)
     left = np.arange(len(grasps))
     for lines in (np.array([(0.0, depth) for depth in contact_depths(effector)]), _pad_lines(effector)):
@@ -115,7 +124,7 @@ def _pad_lines(effector: EndEffector) -> FloatArray:
 
 
 def _contacts(
-    surface: Surface, grasps: GraspSet, lines: FloatArray, opening: float
+    surface: TriangleSurface, grasps: GraspSet, lines: FloatArray, opening: float
 ) -> tuple[BoolArray, BoolArray, BoolArray]:
     """Return in which grasps (G,) a line of `lines` (L, 2) holds, touches both pads, crosses the object in the jaw."""
     T, count = grasps.T_object_tcp, len(lines)
@@ -137,7 +146,7 @@ def _contacts(
     return held, touched, crossed
 
 
-def _cup_failures(surface: Surface, T: FloatArray, radius: float) -> list[Failure | None]:
+def _cup_failures(surface: TriangleSurface, T: FloatArray, radius: float) -> list[Failure | None]:
     spots = np.hstack([T[:, :3, 3], T[:, :3, 2]])
     first, spot = np.unique(np.round(spots, 9), axis=0, return_index=True, return_inverse=True)[1:]  # turned cups
     center, approach = spots[first, :3], spots[first, 3:]

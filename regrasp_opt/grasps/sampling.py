@@ -8,7 +8,7 @@ from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, pose_distan
 from regrasp_opt.end_effectors import EndEffector
 from regrasp_opt.errors import GraspError, OptionError
 from regrasp_opt.grasps.antipodal import antipodal_candidates
-from regrasp_opt.grasps.candidates import Candidates
+from regrasp_opt.grasps.candidates import GraspCandidates
 from regrasp_opt.grasps.clearance import GripperClearance
 from regrasp_opt.grasps.grasp_set import GraspSet
 from regrasp_opt.grasps.suction import suction_candidates
@@ -19,7 +19,7 @@ ROUNDS = 10
 """Most rounds of sampling."""
 
 POINTS = 300
-"""Surface points of one round."""
+"""TriangleSurface points of one round."""
 
 CHOICE = 4
 """Rounds stop when there are this many candidates for each grasp asked for."""
@@ -90,16 +90,16 @@ def _candidates(
     count: int,
     rng: np.random.Generator,
     exclude: GraspSet | None,
-) -> Candidates:
+) -> GraspCandidates:
     """Return the candidates of the best grades that together are enough for `count`, else of all grades."""
     surface = make_surface(model.mesh)
     clearance = GripperClearance(model.vertices, model.faces, end_effector)
     draw = antipodal_candidates if end_effector.kind == "parallel" else suction_candidates
-    rounds: list[Candidates] = []
+    rounds: list[GraspCandidates] = []
     while len(rounds) < ROUNDS and sum(len(drawn.width) for drawn in rounds) < CHOICE * count:
         drawn = draw(surface, end_effector, clearance, POINTS, rng)
         rounds.append(drawn.where(_unseen(drawn.T_object_tcp, exclude)))
-    pool = Candidates(*(np.concatenate(parts) for parts in zip(*rounds, strict=True)))
+    pool = GraspCandidates(*(np.concatenate(parts) for parts in zip(*rounds, strict=True)))
     for grade in np.unique(pool.grade):
         good = pool.grade <= grade
         if good.sum() >= CHOICE * count:

@@ -14,9 +14,9 @@ import numpy as np
 
 from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.end_effectors import EndEffector
-from regrasp_opt.grasps.candidates import Candidates, frames_about
+from regrasp_opt.grasps.candidates import GraspCandidates, frames_about
 from regrasp_opt.grasps.clearance import GripperClearance
-from regrasp_opt.grasps.surface import CREASE_ANGLE, Surface, cast_rays, sample_points, tangents
+from regrasp_opt.grasps.surface import CREASE_ANGLE, TriangleSurface, cast_rays, sample_points, tangents
 
 YAWS = 8
 """Rotations of the cup about its approach at each spot."""
@@ -47,32 +47,32 @@ class RingProbe(NamedTuple):
 
 
 def suction_candidates(
-    surface: Surface,
+    surface: TriangleSurface,
     end_effector: EndEffector,
     clearance: GripperClearance,
     points: int,
     rng: np.random.Generator,
-) -> Candidates:
+) -> GraspCandidates:
     """Return sealed, collision-free grasps at up to `points` random spots, each with `YAWS` rotations."""
     centers, face = sample_points(surface, points, rng)
     approach, grade = seal_grades(surface, centers, -surface.normals[face], end_effector.cup_radius)
     sealed = grade < NO_SEAL
     frames = frames_about(centers[sealed], approach[sealed], YAWS, rng)
     free = clearance.body_free(frames)
-    return Candidates(frames[free], np.zeros(int(free.sum())), np.repeat(grade[sealed], YAWS)[free])
+    return GraspCandidates(frames[free], np.zeros(int(free.sum())), np.repeat(grade[sealed], YAWS)[free])
 
 
 def seal_grades(
-    surface: Surface, centers: FloatArray, approach: FloatArray, radius: float
+    surface: TriangleSurface, centers: FloatArray, approach: FloatArray, radius: float
 ) -> tuple[FloatArray, IntArray]:
     """Return the approach against the mean normal under the cup (N, 3), and the grade of the seal (N,).
 
     Parameters
     ----------
-    surface : Surface
+    surface : TriangleSurface
         The object's surface [m].
     centers : FloatArray
-        Surface points (N, 3) [m].
+        TriangleSurface points (N, 3) [m].
     approach : FloatArray
         Unit vectors (N, 3) into the surface, the first guess of the approach.
     radius : float
@@ -87,7 +87,7 @@ def seal_grades(
 
 
 def mouth_grades(
-    surface: Surface, centers: FloatArray, approach: FloatArray, radius: float
+    surface: TriangleSurface, centers: FloatArray, approach: FloatArray, radius: float
 ) -> tuple[RingProbe, IntArray]:
     """Return what is under cups that stand at `centers` (N, 3) along `approach` (N, 3), and the grade (N,) of the seal.
 
@@ -100,7 +100,7 @@ def mouth_grades(
 
 
 def _probe(
-    surface: Surface,
+    surface: TriangleSurface,
     centers: FloatArray,
     approach: FloatArray,
     radius: float,
@@ -130,7 +130,7 @@ def _probe(
     )
 
 
-def _sharpest_crease(surface: Surface, centers: FloatArray, approach: FloatArray, radius: float) -> FloatArray:
+def _sharpest_crease(surface: TriangleSurface, centers: FloatArray, approach: FloatArray, radius: float) -> FloatArray:
     """Return the largest bend of the surface at an edge under each cup (N,) [rad]; 0 where there is none."""
     u, v = tangents(approach)
     start = surface.creases[None, :, 0] - centers[:, None]

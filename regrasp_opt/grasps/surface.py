@@ -37,7 +37,7 @@ class BoxTree(NamedTuple):
     leaves: IntArray
 
 
-class Surface(NamedTuple):
+class TriangleSurface(NamedTuple):
     """A triangle mesh, ready for sampling and ray casting.
 
     Attributes
@@ -72,7 +72,7 @@ class Hits(NamedTuple):
     distance: FloatArray
 
 
-def make_surface(mesh: trimesh.Trimesh) -> Surface:
+def make_surface(mesh: trimesh.Trimesh) -> TriangleSurface:
     """Return the surface of a mesh, without its degenerate triangles."""
     triangles = np.array(mesh.triangles, dtype=np.float64)
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
@@ -82,7 +82,7 @@ def make_surface(mesh: trimesh.Trimesh) -> Surface:
     sharp = bend > CREASE_ANGLE
     creases = np.array(mesh.vertices, dtype=np.float64)[mesh.face_adjacency_edges[sharp]]
     normals, areas = cross[kept] / length[kept, None], length[kept] / 2
-    return Surface(triangles[kept], normals, areas, creases, bend[sharp], _box_tree(triangles[kept]))
+    return TriangleSurface(triangles[kept], normals, areas, creases, bend[sharp], _box_tree(triangles[kept]))
 
 
 def _box_tree(triangles: FloatArray) -> BoxTree:
@@ -103,7 +103,7 @@ def _box_tree(triangles: FloatArray) -> BoxTree:
     return BoxTree(tuple(levels), order)
 
 
-def sample_points(surface: Surface, count: int, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
+def sample_points(surface: TriangleSurface, count: int, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
     """Return `count` points (count, 3) spread evenly by area, and the triangles they lie on."""
     edges = np.cumsum(surface.areas)
     face = np.searchsorted(edges, rng.random(count) * edges[-1], side="right").clip(max=len(edges) - 1)
@@ -112,7 +112,7 @@ def sample_points(surface: Surface, count: int, rng: np.random.Generator) -> tup
     return np.einsum("pi,pij->pj", weights, surface.triangles[face]), face
 
 
-def cast_rays(surface: Surface, origins: FloatArray, directions: FloatArray) -> Hits:
+def cast_rays(surface: TriangleSurface, origins: FloatArray, directions: FloatArray) -> Hits:
     """Return every crossing of the lines through `origins` (R, 3) along unit `directions` (R, 3), by ray and triangle.
 
     A line that meets a triangle passes all its edges on the same side (Pluecker coordinates).
@@ -134,7 +134,7 @@ def cast_rays(surface: Surface, origins: FloatArray, directions: FloatArray) -> 
     return Hits(rays, faces, distances)
 
 
-def _candidates(surface: Surface, origins: FloatArray, directions: FloatArray) -> tuple[IntArray, IntArray]:
+def _candidates(surface: TriangleSurface, origins: FloatArray, directions: FloatArray) -> tuple[IntArray, IntArray]:
     """Return ray and triangle (P,) of all pairs in which the line meets the smallest box around the triangle.
 
     A line misses a box if it does so in one of the three views along the axes.

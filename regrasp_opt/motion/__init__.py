@@ -1,21 +1,23 @@
 """From a plan to what a robot executes: the joint problem, free grasps, and joint trajectories."""
 
-from regrasp_opt.motion.free_grasps import FreeGraspOptions, solve_with_free_grasps
-from regrasp_opt.motion.joint_measures import Bounds, JointMeasures
-from regrasp_opt.motion.joint_refine import JointResult, refine_plan
-from regrasp_opt.motion.joint_search import SearchOptions
+from regrasp_opt.motion.free_grasps.search import FreeGraspOptions, solve_with_free_grasps
 from regrasp_opt.motion.motion_data import MotionStatus, Phase, Segment
-from regrasp_opt.motion.options import MotionOptions
-from regrasp_opt.motion.plan import MotionPlan
-from regrasp_opt.motion.planner import plan_motion
-from regrasp_opt.motion.together import plan_with_motion
-from regrasp_opt.motion.trajectory import Trajectory
+from regrasp_opt.motion.refinement.measures import JointMeasures, MeasureBounds
+from regrasp_opt.motion.refinement.refine import JointResult, refine_plan
+from regrasp_opt.motion.refinement.search import SearchOptions
+from regrasp_opt.motion.trajectory.motion_plan import MotionPlan
+from regrasp_opt.motion.trajectory.options import MotionOptions
+from regrasp_opt.motion.trajectory.planner import plan_motion
+from regrasp_opt.motion.trajectory.together import plan_with_motion
+from regrasp_opt.motion.trajectory.trajectory import Trajectory
+
+Bounds = MeasureBounds  # its name until 0.1; goes with 0.3
 
 __all__ = [
-    "Bounds",
     "FreeGraspOptions",
     "JointMeasures",
     "JointResult",
+    "MeasureBounds",
     "MotionOptions",
     "MotionPlan",
     "MotionStatus",

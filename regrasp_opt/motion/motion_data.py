@@ -8,7 +8,7 @@ from enum import Enum
 import numpy as np
 
 from regrasp_opt.conventions import FloatArray
-from regrasp_opt.motion.trajectory import Trajectory
+from regrasp_opt.motion.trajectory.trajectory import Trajectory
 from regrasp_opt.planning import RegraspPlan
 
 

@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from regrasp_opt.errors import MeshError, OptionError
-from regrasp_opt.mesh_files import quiet_trimesh, read_triangles
+from regrasp_opt.geometry.mesh_files import quiet_trimesh, read_triangles
 
 LARGEST, SMALLEST = 2.0, 0.005
 """Longest extents beyond which the file is taken to be in another unit [m]."""

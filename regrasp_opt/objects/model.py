@@ -13,7 +13,7 @@ import trimesh
 from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.errors import OptionError, UnknownNameError
 from regrasp_opt.files import content_hash
-from regrasp_opt.mesh_files import MESH_SUFFIXES
+from regrasp_opt.geometry.mesh_files import MESH_SUFFIXES
 from regrasp_opt.objects.builtin import OBJECT_NAMES, build
 from regrasp_opt.objects.mesh import LARGEST, SMALLEST, read_mesh
 from regrasp_opt.objects.placements import Placement, stable_placements

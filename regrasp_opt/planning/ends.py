@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -12,13 +12,11 @@ from regrasp_opt.energy.model import GraspEnergy
 from regrasp_opt.errors import PoseError
 from regrasp_opt.feasibility.standing import resting_problem
 from regrasp_opt.objects import ObjectModel
-from regrasp_opt.workcell import Workcell
-
-if TYPE_CHECKING:
-    from regrasp_opt.planning.problem import RegraspProblem
+from regrasp_opt.planning.problem_data import ProblemData
+from regrasp_opt.scene import Workcell
 
 
-def checked_end(T: Any, name: str, problem: RegraspProblem) -> FloatArray:
+def checked_end(T: Any, name: str, problem: ProblemData) -> FloatArray:
     """Return the pose `T` as a rigid (4, 4) transform at which the problem's object can rest in its workcell.
 
     Raises

@@ -13,14 +13,14 @@ import coal
 import numpy as np
 
 from regrasp_opt.conventions import FloatArray
-from regrasp_opt.mesh_files import read_triangles
+from regrasp_opt.geometry.mesh_files import read_triangles
+from regrasp_opt.geometry.shapes import Box, Cylinder, Shape
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.objects.placements import rejected_placements
 from regrasp_opt.objects.rolling import LEAST_MARGIN
 from regrasp_opt.planning.problem import RegraspProblem
 from regrasp_opt.robots import Robot, urdf
-from regrasp_opt.shapes import Box, Cylinder, Shape
-from regrasp_opt.workcell import Workcell
+from regrasp_opt.scene import Workcell
 
 Data = dict[str, Any]
 

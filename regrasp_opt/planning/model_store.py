@@ -7,6 +7,7 @@ models come with the package; others are kept in the user's data folder under a 
 from __future__ import annotations
 
 import json
+import shlex
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from regrasp_opt.errors import ModelError
 from regrasp_opt.files import atomic_path, content_hash, data_home
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel
-from regrasp_opt.workcell import Workcell
+from regrasp_opt.scene import Workcell
 
 GRASPS_FILE = "grasps.npz"
 ENERGY_FILES = {"default": "energy.safetensors", "paper": "energy-paper.safetensors"}
@@ -122,3 +123,16 @@ def write_report(folder: Path, report: dict[str, Any]) -> None:
     """Write `report`; it is the last file of a model, so a folder with a report is complete."""
     with atomic_path(folder / REPORT_FILE) as temporary:
         temporary.write_text(json.dumps({"format": FORMAT, **report}, indent=1) + "\n", encoding="utf-8")
+
+
+def command_arguments(body: ObjectModel, workcell: Workcell) -> str:
+    """Return how `prepare` is told of an object and a workcell on the command line."""
+    parts = [body.name if body.source == "built-in" else body.source]
+    parts += ["--workcell", workcell.name if workcell.source == "built-in" else workcell.source]
+    if workcell.end_effector_override is not None:
+        parts += ["--end-effector", workcell.end_effector_override]
+    if body.scale != 1.0:
+        parts += ["--scale", f"{body.scale:g}"]
+    if body.repair:
+        parts.append("--repair")
+    return shlex.join(parts)

@@ -19,7 +19,7 @@ from regrasp_opt.objects import load_object
 from regrasp_opt.planning.model_store import find_model
 from regrasp_opt.planning.plan_data import PlanData, Status, Transition
 from regrasp_opt.planning.problem import RegraspProblem, assemble
-from regrasp_opt.workcell import load_workcell
+from regrasp_opt.scene import load_workcell
 
 SCHEMA = 1
 

@@ -35,12 +35,12 @@ from regrasp_opt.objects import ObjectModel
 from regrasp_opt.planning.model_store import (
     ENERGY_FILES,
     GRASPS_FILE,
+    command_arguments,
     default_folder,
     model_key,
     write_report,
 )
-from regrasp_opt.planning.problem import command_arguments
-from regrasp_opt.workcell import Workcell
+from regrasp_opt.scene import Workcell
 from regrasp_opt.workers import workers
 
 DEFAULT_SAMPLES = 20_000

@@ -4,34 +4,22 @@ from __future__ import annotations
 
 import logging
 import os
-import shlex
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
-from regrasp_opt.connectivity import CostOptions, SequenceObjective, TableRule
-from regrasp_opt.connectivity.embedding import ProblemEnergy
-from regrasp_opt.conventions import BoolArray, FloatArray, as_pose, planar_transform, translation
-from regrasp_opt.errors import GraspError, ModelError, PoseError, UnknownNameError
-from regrasp_opt.feasibility import FeasibilityChecker
-from regrasp_opt.feasibility.tabletop import points_in_table
-from regrasp_opt.files import data_home
+from regrasp_opt.connectivity import CostOptions
+from regrasp_opt.conventions import translation
+from regrasp_opt.errors import GraspError, UnknownNameError
 from regrasp_opt.grasps import GraspSet, rejected_grasps, sample_grasps
 from regrasp_opt.objects import ObjectModel, Placement, load_object
-from regrasp_opt.planning.model_store import (
-    ENERGY_FILES,
-    find_model,
-    load_prepared_energy,
-    load_prepared_grasps,
-    model_key,
-)
-from regrasp_opt.solvers import PoseLattice, RegraspNLP
-from regrasp_opt.workcell import Workcell, load_workcell
+from regrasp_opt.planning.model_store import ENERGY_FILES, find_model, load_prepared_grasps
+from regrasp_opt.planning.problem_data import ProblemData
+from regrasp_opt.planning.sequence_nlp import sequence_nlp
+from regrasp_opt.scene import Workcell, load_workcell
+from regrasp_opt.solvers import RegraspNLP
 
 DEFAULT_GRASPS = 200
 """Candidate grasps of a problem (the paper's number)."""
@@ -43,7 +31,7 @@ logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
-class RegraspProblem:
+class RegraspProblem(ProblemData):
     """What a plan is made for. Use `RegraspProblem.load`; everything heavy is made when first used.
 
     Attributes
@@ -62,14 +50,6 @@ class RegraspProblem:
         Those of the given grasps that cannot be used: their numbers in the given set, and why. The others are in
         `grasps`, in their order and numbered from 0.
     """
-
-    object: ObjectModel
-    workcell: Workcell
-    grasps: GraspSet
-    placements: tuple[Placement, ...]
-    model_folder: Path | None = None
-    preset: Literal["default", "paper"] = "default"
-    left_out: dict[int, str] = field(default_factory=dict)
 
     @staticmethod
     def load(
@@ -134,86 +114,6 @@ class RegraspProblem:
             grasps, left_out = _usable(grasps, body, workcell)
         return assemble(body, workcell, grasps, folder, preset, left_out)
 
-    @cached_property
-    def checker(self) -> FeasibilityChecker:
-        """The exact checker of this problem's grasps."""
-        return FeasibilityChecker(self.object, self.workcell, self.grasps)
-
-    @cached_property
-    def placement_poses(self) -> FloatArray:
-        """The placements' poses (S, 4, 4)."""
-        return np.array([p.pose for p in self.placements])
-
-    @cached_property
-    def energy(self) -> ProblemEnergy:
-        """The prepared energy on this problem's grasps.
-
-        Raises
-        ------
-        ModelError
-            If none was prepared for this object and workcell.
-        """
-        if self.model_folder is None:
-            raise ModelError(
-                f"no model was prepared for '{self.object.name}' in workcell '{self.workcell.name}'; run "
-                f"'regrasp-opt prepare {command_arguments(self.object, self.workcell)}'"
-            )
-        model = load_prepared_energy(self.model_folder, self.preset, model_key(self.object, self.workcell))
-        return ProblemEnergy(model, self.grasps, self.placement_poses)
-
-    @cached_property
-    def lattice(self) -> PoseLattice:
-        """The lattice of poses with their energies; kept on disk under a hash, and in memory."""
-        cache = data_home() / "lattices"
-        bounds = self.workcell.bounds.array
-        return PoseLattice.build(self.energy, self.placement_poses, bounds, cache, self.table_rule)
-
-    @cached_property
-    def table_rule(self) -> TableRule:
-        """Which grasps the table makes infeasible at a placement, whatever the planar parameters."""
-        table = self.workcell.table
-        corners = table.center + np.array([[-0.5], [0.5]]) * table.size
-        return TableRule(points_in_table(self.workcell, self.grasps, self.placement_poses), corners)
-
-    def objective(
-        self, start_energy: FloatArray, goal_energy: FloatArray, options: CostOptions | None = None
-    ) -> SequenceObjective:
-        """Return ``J_seq`` between two ends, with what the table rules out.
-
-        Parameters
-        ----------
-        start_energy, goal_energy : (G,)
-            Known energies of all grasps at both ends.
-        options : CostOptions, optional
-            The paper's by default.
-        """
-        bounds, options = self.workcell.bounds.array, options or CostOptions()
-        return SequenceObjective(
-            self.energy, self.placement_poses, start_energy, goal_energy, bounds, options, self.table_rule
-        )
-
-    def pose(self, placement: int, x: float, y: float, yaw: float = 0.0) -> FloatArray:
-        """Return the pose (4, 4) T_world_object of a stable placement moved in the plane (Eq. 6).
-
-        Parameters
-        ----------
-        placement : int
-            Its number in `placements`.
-        x, y : float
-            Where the centre of mass stands [m].
-        yaw : float
-            Turn about the vertical [rad].
-
-        Raises
-        ------
-        PoseError
-            If there is no placement of that number.
-        """
-        if not 0 <= placement < len(self.placements):
-            last = len(self.placements) - 1
-            raise PoseError(f"there is no placement {placement}; '{self.object.name}' has placements 0 to {last}")
-        return planar_transform(np.array([x, y, yaw])) @ self.placement_poses[placement]
-
     def nlp(
         self,
         start: Any,
@@ -253,19 +153,7 @@ class RegraspProblem:
         ModelError
             If no energy was prepared for the problem.
         """
-        from regrasp_opt.planning.sequence_nlp import sequence_nlp
-
         return sequence_nlp(self, start, goal, placements, num_regrasps, guess, mask, options or CostOptions())
-
-    def feasible_grasps(self, T: Any) -> BoolArray:
-        """Return which grasps (G,) are feasible at object pose `T` (4, 4) T_world_object, exactly.
-
-        Raises
-        ------
-        PoseError
-            If `T` is no rigid transform.
-        """
-        return self.checker.feasible(as_pose(T))
 
 
 def assemble(
@@ -305,16 +193,3 @@ def _usable(grasps: GraspSet, body: ObjectModel, workcell: Workcell) -> tuple[Gr
     text = "%d of %d grasps are left out, and the others numbered anew from 0: %s%s (problem.left_out has all)"
     logger.warning(text, len(left_out), len(grasps), "; ".join(named), rest)
     return grasps.subset([index for index in range(len(grasps)) if index not in left_out]), left_out
-
-
-def command_arguments(body: ObjectModel, workcell: Workcell) -> str:
-    """Return how `prepare` is told of an object and a workcell on the command line."""
-    parts = [body.name if body.source == "built-in" else body.source]
-    parts += ["--workcell", workcell.name if workcell.source == "built-in" else workcell.source]
-    if workcell.end_effector_override is not None:
-        parts += ["--end-effector", workcell.end_effector_override]
-    if body.scale != 1.0:
-        parts += ["--scale", f"{body.scale:g}"]
-    if body.repair:
-        parts.append("--repair")
-    return shlex.join(parts)

@@ -26,12 +26,12 @@ from regrasp_opt.conventions import (
     invert,
     pose_distance,
 )
+from regrasp_opt.geometry.shapes import mesh_geometry, shape_geometry
+from regrasp_opt.geometry.solids import Solid, distance
 from regrasp_opt.grasps import hold_failures
 from regrasp_opt.planning.plan_data import PlanData, Transition
 from regrasp_opt.planning.problem import RegraspProblem
-from regrasp_opt.shapes import mesh_geometry, shape_geometry
-from regrasp_opt.solids import Solid, distance
-from regrasp_opt.workcell.pairs import arm_pairs
+from regrasp_opt.scene.pairs import arm_pairs
 
 
 class Body(NamedTuple):

@@ -24,7 +24,7 @@ from regrasp_opt.planning.plan import RegraspPlan
 from regrasp_opt.planning.plan_data import Status
 from regrasp_opt.planning.problem import RegraspProblem
 from regrasp_opt.planning.recipes import Recipe, as_recipe
-from regrasp_opt.planning.verification import PoseKnowledge, enumerate_transition, prove_sequence
+from regrasp_opt.planning.verification import PoseFeasibility, enumerate_transition, prove_sequence
 from regrasp_opt.solvers import Candidates, Refiner
 from regrasp_opt.threads import one_blas_thread
 
@@ -106,7 +106,7 @@ def _solve(
     T_start = checked_end(start, "start", problem)
     T_goal = checked_end(goal, "goal", problem)
     with clock.timed("ends"):
-        ends = [PoseKnowledge(problem.checker, T) for T in (T_start, T_goal)]
+        ends = [PoseFeasibility(problem.checker, T) for T in (T_start, T_goal)]
         feasible = [end.all() for end in ends]
     search = _Search(problem, recipe, ends, options, seed, clock, accept)
     for knowledge, status in zip(feasible, (Status.START_INFEASIBLE, Status.GOAL_INFEASIBLE), strict=True):
@@ -144,7 +144,7 @@ class _Search:
         self,
         problem: RegraspProblem,
         recipe: Recipe,
-        ends: list[PoseKnowledge],
+        ends: list[PoseFeasibility],
         options: CostOptions,
         seed: int,
         clock: _Clock,
@@ -154,7 +154,7 @@ class _Search:
         self.options, self.accept = options, accept
         self.stats: list[dict[str, Any]] = []
         self.cheapest: Candidates | None = None
-        self.known: dict[bytes, PoseKnowledge] = {}
+        self.known: dict[bytes, PoseFeasibility] = {}
 
     def run(self, max_regrasps: int) -> RegraspPlan:
         start, goal = self.ends
@@ -254,7 +254,7 @@ class _Search:
         summed = energies[:, :-1] + energies[:, 1:]
         return (summed <= self.problem.energy.model.threshold).any(axis=2).all(axis=1)
 
-    def _prove(self, objective: SequenceObjective, candidates: Candidates, index: int) -> list[PoseKnowledge] | None:
+    def _prove(self, objective: SequenceObjective, candidates: Candidates, index: int) -> list[PoseFeasibility] | None:
         xi = candidates.xi[index]
         low, high = objective.bounds
         inside = np.isfinite(xi).all() and (xi[:, :2] >= low - 1e-9).all() and (xi[:, :2] <= high + 1e-9).all()
@@ -268,12 +268,12 @@ class _Search:
         chain = [self.ends[0], *middle, self.ends[1]]
         return chain if prove_sequence(chain, energies) else None
 
-    def _knowledge(self, T: FloatArray) -> PoseKnowledge:
+    def _knowledge(self, T: FloatArray) -> PoseFeasibility:
         """Return what is known about pose `T`; chains of lattice poses have many poses in common."""
-        return self.known.setdefault(T.tobytes(), PoseKnowledge(self.problem.checker, T))
+        return self.known.setdefault(T.tobytes(), PoseFeasibility(self.problem.checker, T))
 
     def _plan(
-        self, objective: SequenceObjective, candidates: Candidates, index: int, chain: list[PoseKnowledge]
+        self, objective: SequenceObjective, candidates: Candidates, index: int, chain: list[PoseFeasibility]
     ) -> RegraspPlan:
         picked = candidates.take(slice(index, index + 1))
         cost = float(objective.cost(picked.placements, picked.xi)[0])
@@ -284,7 +284,7 @@ class _Search:
             return self.result(Status.TIME_LIMIT)
         best = self.cheapest
         poses = self.objective.poses(best.placements[0], best.xi[0])
-        chain = [self.ends[0], *(PoseKnowledge(self.problem.checker, T) for T in poses), self.ends[1]]
+        chain = [self.ends[0], *(PoseFeasibility(self.problem.checker, T) for T in poses), self.ends[1]]
         return self.result(
             Status.TIME_LIMIT, cost=float(best.cost[0]), chain=chain, placements=best.placements[0], xi=best.xi[0]
         )
@@ -295,7 +295,7 @@ class _Search:
         known = self.problem.objective(start, goal, self.options)
         return known if self.recipe.knowledge == "exact" else replace(known, table_rule=None)
 
-    def _end_energy(self, end: PoseKnowledge) -> FloatArray:
+    def _end_energy(self, end: PoseFeasibility) -> FloatArray:
         """Return the energies (G,) at a fixed end, exact ones if they may be used."""
         energy = self.problem.energy
         if self.recipe.knowledge == "learned":
@@ -307,7 +307,7 @@ class _Search:
         status: Status,
         *,
         cost: float = float("nan"),
-        chain: list[PoseKnowledge] | None = None,
+        chain: list[PoseFeasibility] | None = None,
         placements: Any = (),
         xi: Any = (),
     ) -> RegraspPlan:

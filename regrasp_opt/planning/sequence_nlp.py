@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,18 +13,16 @@ from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.errors import OptionError, PoseError
 from regrasp_opt.feasibility.diagnosis import diagnose, summary
 from regrasp_opt.planning.ends import checked_end, known_energy
+from regrasp_opt.planning.problem_data import ProblemData
 from regrasp_opt.solvers import RegraspNLP, lattice_starts
 from regrasp_opt.solvers.nlp import useful_grasps_near
-
-if TYPE_CHECKING:
-    from regrasp_opt.planning.problem import RegraspProblem
 
 _CHAINS = 400
 """Lattice chains among which the first with the wanted placements is looked for."""
 
 
 def sequence_nlp(
-    problem: RegraspProblem,
+    problem: ProblemData,
     start: Any,
     goal: Any,
     placements: Sequence[int] | None,
@@ -65,7 +63,7 @@ def _count(num_regrasps: Any) -> int:
     return int(num_regrasps)
 
 
-def _end(problem: RegraspProblem, end: Any, name: str) -> Any:
+def _end(problem: ProblemData, end: Any, name: str) -> Any:
     """Return the energies (G,) of an end, or "input"."""
     if isinstance(end, str) and end == INPUT:
         return end
@@ -78,7 +76,7 @@ def _end(problem: RegraspProblem, end: Any, name: str) -> Any:
     return known_energy(problem.energy, T, feasible)
 
 
-def _objective(problem: RegraspProblem, ends: list[Any], options: CostOptions) -> SequenceObjective | None:
+def _objective(problem: ProblemData, ends: list[Any], options: CostOptions) -> SequenceObjective | None:
     """Return the planner's objective, or None where an end is not known yet."""
     if any(isinstance(end, str) for end in ends):
         return None
@@ -86,7 +84,7 @@ def _objective(problem: RegraspProblem, ends: list[Any], options: CostOptions) -
 
 
 def _from_lattice(
-    problem: RegraspProblem, objective: SequenceObjective | None, count: int, numbers: IntArray | None
+    problem: ProblemData, objective: SequenceObjective | None, count: int, numbers: IntArray | None
 ) -> tuple[IntArray, FloatArray]:
     """Return placements and a guess (N, 3): of the best chain with those placements, or the workspace's centre."""
     if objective is not None:

@@ -1,8 +1,8 @@
 """Hard verification: what turns a promising sequence of poses into a plan.
 
-`PoseKnowledge` remembers the exact checks of one pose, so that no (pose, grasp) pair is checked twice. A transition is
-proved with as few checks as possible, the most promising grasps first; only the accepted plan has all of its shared
-grasps enumerated, with the joint configurations to pick and place them.
+`PoseFeasibility` remembers the exact checks of one pose, so that no (pose, grasp) pair is checked twice. A transition
+is verified with as few checks as possible, the most promising grasps first; only the accepted plan has all of its
+shared grasps enumerated, with the joint configurations to pick and place them.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _CHUNK = 8
 """Grasps that are checked at once before looking whether one sufficed."""
 
 
-class PoseKnowledge:
+class PoseFeasibility:
     """What is known exactly about the G grasps at one object pose `T` (4, 4)."""
 
     def __init__(self, checker: FeasibilityChecker, T: FloatArray) -> None:
@@ -51,7 +51,7 @@ class PoseKnowledge:
         return self._feasible | ~self._known
 
 
-def share_a_grasp(a: PoseKnowledge, b: PoseKnowledge, promise: FloatArray) -> bool:
+def share_a_grasp(a: PoseFeasibility, b: PoseFeasibility, promise: FloatArray) -> bool:
     """Return whether some grasp is feasible at both poses; grasps with low `promise` (G,) are tried first."""
     ids = np.flatnonzero(a.possible() & b.possible())
     ids = ids[np.argsort(promise[ids], kind="stable")]
@@ -63,7 +63,7 @@ def share_a_grasp(a: PoseKnowledge, b: PoseKnowledge, promise: FloatArray) -> bo
     return False
 
 
-def prove_sequence(poses: list[PoseKnowledge], energies: FloatArray) -> bool:
+def prove_sequence(poses: list[PoseFeasibility], energies: FloatArray) -> bool:
     """Return whether every neighbouring pair of `poses` shares a grasp; `energies` (N+2, G) say where to look first.
 
     The two ends come first: their feasible grasps are known, so they reject for the fewest checks.
@@ -72,7 +72,7 @@ def prove_sequence(poses: list[PoseKnowledge], energies: FloatArray) -> bool:
     return all(share_a_grasp(poses[i], poses[i + 1], energies[i] + energies[i + 1]) for i in pairs)
 
 
-def enumerate_transition(checker: FeasibilityChecker, a: PoseKnowledge, b: PoseKnowledge) -> Transition:
+def enumerate_transition(checker: FeasibilityChecker, a: PoseFeasibility, b: PoseFeasibility) -> Transition:
     """Return the transition between two poses with all shared grasps, their configurations and clearances.
 
     Of each grasp's collision-free branches at both poses, those are taken with the smallest largest joint move; whole

@@ -16,8 +16,8 @@ import pinocchio as pin
 
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.errors import MeshError, WorkcellError
-from regrasp_opt.mesh_files import read_triangles
-from regrasp_opt.shapes import mesh_geometry
+from regrasp_opt.geometry.mesh_files import read_triangles
+from regrasp_opt.geometry.shapes import mesh_geometry
 
 SIZES = {
     "box": {"size": 3},

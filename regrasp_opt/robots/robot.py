@@ -19,12 +19,12 @@ from numpy.typing import ArrayLike
 
 from regrasp_opt.conventions import JOINT_LIMIT_TOLERANCE, FloatArray
 from regrasp_opt.files import content_hash
+from regrasp_opt.geometry.solids import Containment
 from regrasp_opt.robots.ik import IkSolutions, InverseKinematics
 from regrasp_opt.robots.kinematics import SerialChain
 from regrasp_opt.robots.queries import settle_queries
 from regrasp_opt.robots.self_test import IkTest, self_test
 from regrasp_opt.robots.urdf import parse_xml
-from regrasp_opt.solids import Containment
 
 
 @dataclass(frozen=True, eq=False)

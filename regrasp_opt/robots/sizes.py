@@ -7,10 +7,10 @@ import logging
 import numpy as np
 
 from regrasp_opt.errors import WorkcellError
-from regrasp_opt.mesh_files import LARGEST_MESH, unlikely_size
+from regrasp_opt.geometry.mesh_files import LARGEST_MESH, unlikely_size
+from regrasp_opt.geometry.solids import Solid
 from regrasp_opt.robots.robot import Robot
 from regrasp_opt.robots.urdf import parse_xml
-from regrasp_opt.solids import Solid
 
 logger = logging.getLogger(__name__)
 

@@ -10,7 +10,7 @@ import trimesh
 from regrasp_opt.conventions import IntArray
 from regrasp_opt.viz.candidates import cost_range, trail
 from regrasp_opt.viz.scene import PlanScene, pose7, scaled_colours
-from regrasp_opt.viz.surfaces import Surface
+from regrasp_opt.viz.surfaces import Patch
 
 ACCEPTED = (214, 26, 26)
 TAIL = 5
@@ -83,11 +83,11 @@ class CandidateView:
             self.trail = None
         faces = self._ribbons.faces[self._each * max(0, frame - TAIL) : self._each * frame]
         if visible and len(faces):
-            part = Surface(self._ribbons.vertices, faces)
+            part = Patch(self._ribbons.vertices, faces)
             self.trail = add_coloured(self._server, "/candidates/trail", part, self._ribbon_colours)
 
 
-def add_coloured(server: Any, name: str, surface: Surface, colours: IntArray, *, visible: bool = True) -> Any:
+def add_coloured(server: Any, name: str, surface: Patch, colours: IntArray, *, visible: bool = True) -> Any:
     """Add a surface with a colour (V, 3) for each vertex to a viser `server` and return its handle."""
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, vertex_colors=colours, process=False)
     return server.scene.add_mesh_trimesh(name, mesh, cast_shadow=False, visible=visible)

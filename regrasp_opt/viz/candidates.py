@@ -12,7 +12,7 @@ from regrasp_opt.errors import OptionError
 from regrasp_opt.planning import Recipe, RegraspPlan, Status, solve_sequence
 from regrasp_opt.planning.recipes import as_recipe
 from regrasp_opt.solvers import RecordedBatch, RecordingRefiner, Refiner
-from regrasp_opt.viz.surfaces import Surface
+from regrasp_opt.viz.surfaces import Patch
 
 SHOWN = 12
 """Candidates that are shown at most, the cheapest refined ones."""
@@ -126,7 +126,7 @@ def cost_range(trace: CandidateTrace) -> tuple[float, float]:
     return low, min(float(trace.cost.max()), low + RANGE)
 
 
-def trail(trace: CandidateTrace, table_height: float) -> tuple[Surface, Any]:
+def trail(trace: CandidateTrace, table_height: float) -> tuple[Patch, Any]:
     """Return ribbons on the table along which the candidates moved, and the cost (V,) at each vertex.
 
     The 2 B N triangles of the first step come first, then those of the second, and so on.
@@ -142,4 +142,4 @@ def trail(trace: CandidateTrace, table_height: float) -> tuple[Surface, Any]:
     first = 4 * np.arange(len(vertices) // 4)[:, None, None]
     faces = (first + np.array([[0, 2, 1], [0, 3, 2]])).reshape(-1, 3)
     cost = np.repeat(trace.cost, trace.xi.shape[2], axis=1)
-    return Surface(vertices, faces), np.stack([cost[:-1], cost[:-1], cost[1:], cost[1:]], axis=2).ravel()
+    return Patch(vertices, faces), np.stack([cost[:-1], cost[:-1], cost[1:], cost[1:]], axis=2).ravel()

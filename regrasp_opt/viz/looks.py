@@ -15,7 +15,7 @@ import numpy as np
 from regrasp_opt.conventions import FloatArray, translation
 from regrasp_opt.end_effectors import EndEffector
 from regrasp_opt.robots import Robot
-from regrasp_opt.viz.surfaces import Surface, coal_surface, merged, rounded_cylinder, shape_surface
+from regrasp_opt.viz.surfaces import Patch, coal_surface, merged, rounded_cylinder, shape_surface
 
 COLOURS = {
     "arm": "#dfe3e8",
@@ -40,7 +40,7 @@ class Part(NamedTuple):
     """A surface that moves with one body, or stands in the world frame at body ``BASE``."""
 
     name: str
-    surface: Surface
+    surface: Patch
     colour: str
     body: int
     opacity: float = 1.0
@@ -48,7 +48,7 @@ class Part(NamedTuple):
 
 def robot_parts(robot: Robot, T_world_base: FloatArray) -> list[Part]:
     """Return the robot's parts; those of joint i in the frame of that joint, those of the base in the world."""
-    found: dict[tuple[int, str], list[Surface]] = defaultdict(list)
+    found: dict[tuple[int, str], list[Patch]] = defaultdict(list)
     for item in robot.collision.geometryObjects:
         body = int(item.parentJoint) - 1
         T = item.placement.homogeneous if body != BASE else T_world_base @ item.placement.homogeneous
@@ -57,7 +57,7 @@ def robot_parts(robot: Robot, T_world_base: FloatArray) -> list[Part]:
     return [Part("robot", merged(surfaces), COLOURS[colour], body) for (body, colour), surfaces in found.items()]
 
 
-def _rounded(geometry: object) -> list[tuple[str, Surface]]:
+def _rounded(geometry: object) -> list[tuple[str, Patch]]:
     if not isinstance(geometry, coal.Cylinder):
         return [("arm", coal_surface(geometry))]
     radius, length = float(geometry.radius), 2 * float(geometry.halfLength)
@@ -99,7 +99,7 @@ def body_poses(robot: Robot, T_world_base: FloatArray, q: FloatArray, width: Flo
     return np.concatenate([T_world_base @ robot.link_transforms(q), np.stack([flange, *fingers], axis=1)], axis=1)
 
 
-def grasp_mark(effector: EndEffector) -> Surface:
+def grasp_mark(effector: EndEffector) -> Patch:
     """Return a small fork, or a cup for suction, that marks a grasp in the TCP frame."""
     if effector.kind == "suction":
         stem = rounded_cylinder(0.0025, 0.05, 0.001).placed(translation(0.0, 0.0, -0.026))

@@ -17,12 +17,12 @@ from regrasp_opt.conventions import FloatArray
 from regrasp_opt.files import atomic_path
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.planning import RegraspPlan
+from regrasp_opt.scene import Workcell
 from regrasp_opt.viz.candidates import CandidateTrace, cost_range, trail
 from regrasp_opt.viz.fields import CostField
 from regrasp_opt.viz.scene import SCALE, PlanScene, SharedGrasps, plan_scene, pose7, problem_scene, scaled_colours
-from regrasp_opt.viz.surfaces import Surface
+from regrasp_opt.viz.surfaces import Patch
 from regrasp_opt.viz.track import Track
-from regrasp_opt.workcell import Workcell
 
 
 def write_plan_page(
@@ -144,17 +144,17 @@ def _candidates(trace: CandidateTrace | None, table_height: float) -> dict[str, 
     }
 
 
-def field_surface(field: CostField, table_height: float) -> tuple[Surface, NDArray[Any]]:
+def field_surface(field: CostField, table_height: float) -> tuple[Patch, NDArray[Any]]:
     """Return a field as a surface just above the table with the colours (V, 3) uint8 of its vertices."""
     x, y = np.meshgrid(field.x, field.y)
     vertices = np.stack([x, y, np.full_like(x, table_height + 0.0008)], axis=-1).reshape(-1, 3)
     number = np.arange(x.size).reshape(x.shape)
     a, b, c, d = (n.ravel() for n in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]))
     faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
-    return Surface(vertices, faces), scaled_colours(field.cost).reshape(-1, 3)
+    return Patch(vertices, faces), scaled_colours(field.cost).reshape(-1, 3)
 
 
-def _mesh(surface: Surface) -> dict[str, str]:
+def _mesh(surface: Patch) -> dict[str, str]:
     return {"vertices": _packed(surface.vertices, np.float32), "faces": _packed(surface.faces, np.uint32)}
 
 

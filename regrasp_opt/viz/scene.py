@@ -15,12 +15,12 @@ from scipy.spatial.transform import Rotation
 from regrasp_opt.conventions import FloatArray, IntArray, translation
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.planning import RegraspPlan
+from regrasp_opt.scene import Workcell
 from regrasp_opt.viz.candidates import CandidateTrace
 from regrasp_opt.viz.fields import CostField, cost_field, grasp_energies, has_energy
 from regrasp_opt.viz.looks import BASE, COLOURS, Part, body_poses, grasp_mark, gripper_parts, robot_parts
-from regrasp_opt.viz.surfaces import Surface, shape_surface
+from regrasp_opt.viz.surfaces import Patch, shape_surface
 from regrasp_opt.viz.track import Track
-from regrasp_opt.workcell import Workcell
 
 SCALE = tuple(colour for _, colour in get_colorscale("Viridis"))
 """Colours from the least to the greatest energy or cost; they differ in lightness, so nobody needs to see hues."""
@@ -70,7 +70,7 @@ class PlanScene:
         Those that stand still are in the world frame.
     ghosts : tuple of (name, colour, pose (7,))
         The object at the plan's poses.
-    object_surface, mark : Surface
+    object_surface, mark : Patch
         The object in its own frame, and what marks a grasp in the TCP frame.
     states : (M, bodies, 7)
         Poses of the moving bodies: position [m] and quaternion (x, y, z, w).
@@ -92,8 +92,8 @@ class PlanScene:
     subtitle: str
     parts: tuple[Part, ...]
     ghosts: tuple[tuple[str, str, FloatArray], ...]
-    object_surface: Surface
-    mark: Surface
+    object_surface: Patch
+    mark: Patch
     states: FloatArray
     steps: tuple[Step, ...]
     seconds: float | None
@@ -184,7 +184,7 @@ def _parts(model: ObjectModel, cell: Workcell) -> list[Part]:
         *(Part(s.name, shape_surface(s), COLOURS["obstacle"], BASE) for s in cell.obstacles),
         *robot_parts(cell.robot, cell.T_world_base),
         *gripper_parts(cell.end_effector, dof),
-        Part("object", Surface(model.vertices, model.faces), COLOURS["object"], dof + 3),
+        Part("object", Patch(model.vertices, model.faces), COLOURS["object"], dof + 3),
     ]
     return [part._replace(surface=part.surface.creased()) for part in parts]
 

@@ -9,36 +9,36 @@ import numpy as np
 import trimesh
 
 from regrasp_opt.conventions import FloatArray, IntArray
-from regrasp_opt.shapes import Box, Cylinder, Shape
+from regrasp_opt.geometry.shapes import Box, Cylinder, Shape
 
 CREASE = np.radians(32.0)
 """Faces that meet at a sharper angle than this are drawn with an edge between them [rad]."""
 
 
-class Surface(NamedTuple):
+class Patch(NamedTuple):
     """Triangles: `vertices` (V, 3) [m] and `faces` (F, 3)."""
 
     vertices: FloatArray
     faces: IntArray
 
-    def placed(self, T: FloatArray) -> Surface:
+    def placed(self, T: FloatArray) -> Patch:
         """Return the surface moved by `T` (4, 4)."""
-        return Surface(self.vertices @ T[:3, :3].T + T[:3, 3], self.faces)
+        return Patch(self.vertices @ T[:3, :3].T + T[:3, 3], self.faces)
 
-    def creased(self) -> Surface:
+    def creased(self) -> Patch:
         """Return the surface with vertices split along edges, so that averaged normals are smooth only where it is."""
         mesh = trimesh.Trimesh(self.vertices, self.faces, process=True)
         return _surface(trimesh.graph.smooth_shade(mesh, angle=CREASE))
 
 
-def merged(surfaces: list[Surface]) -> Surface:
+def merged(surfaces: list[Patch]) -> Patch:
     """Return several surfaces as one."""
     offsets = np.cumsum([0, *(len(s.vertices) for s in surfaces[:-1])])
     faces = [s.faces + offset for s, offset in zip(surfaces, offsets, strict=True)]
-    return Surface(np.concatenate([s.vertices for s in surfaces]), np.concatenate(faces))
+    return Patch(np.concatenate([s.vertices for s in surfaces]), np.concatenate(faces))
 
 
-def chamfered_box(size: FloatArray, chamfer: float = 0.003) -> Surface:
+def chamfered_box(size: FloatArray, chamfer: float = 0.003) -> Patch:
     """Return a box of edge lengths `size` (3,) about the origin with its edges cut off by `chamfer` [m]."""
     cut = min(chamfer, 0.2 * float(np.min(size)))
     signs = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, -1).T
@@ -46,7 +46,7 @@ def chamfered_box(size: FloatArray, chamfer: float = 0.003) -> Surface:
     return _surface(trimesh.convex.convex_hull(np.concatenate(corners)))
 
 
-def rounded_cylinder(radius: float, length: float, fillet: float = 0.012) -> Surface:
+def rounded_cylinder(radius: float, length: float, fillet: float = 0.012) -> Patch:
     """Return a cylinder along z about the origin with rounded rims [m]."""
     f = min(fillet, 0.4 * radius, 0.4 * length)
     arc = np.linspace(0.0, np.pi / 2, 5)
@@ -55,16 +55,16 @@ def rounded_cylinder(radius: float, length: float, fillet: float = 0.012) -> Sur
     return _surface(trimesh.creation.revolve(profile, sections=40))
 
 
-def shape_surface(shape: Shape) -> Surface:
+def shape_surface(shape: Shape) -> Patch:
     """Return the surface of a shape of an end-effector or a workcell in its parent frame."""
     if isinstance(shape, Box):
         return chamfered_box(np.asarray(shape.size)).placed(shape.pose)
     if isinstance(shape, Cylinder):
         return rounded_cylinder(shape.radius, shape.length, 0.003).placed(shape.pose)
-    return Surface(shape.vertices, shape.faces).placed(shape.pose)
+    return Patch(shape.vertices, shape.faces).placed(shape.pose)
 
 
-def coal_surface(geometry: Any) -> Surface:
+def coal_surface(geometry: Any) -> Patch:
     """Return the surface of a robot's collision body in its own frame; `geometry` is a `coal.CollisionGeometry`."""
     if isinstance(geometry, coal.Box):
         return chamfered_box(2 * np.array(geometry.halfSide), 0.006)
@@ -75,8 +75,8 @@ def coal_surface(geometry: Any) -> Surface:
     if isinstance(geometry, coal.Capsule):
         return rounded_cylinder(geometry.radius, 2 * (geometry.halfLength + geometry.radius), geometry.radius)
     triangles = [geometry.tri_indices(i) for i in range(geometry.num_tris)]
-    return Surface(np.array(geometry.vertices()), np.array([[t[0], t[1], t[2]] for t in triangles]))
+    return Patch(np.array(geometry.vertices()), np.array([[t[0], t[1], t[2]] for t in triangles]))
 
 
-def _surface(mesh: trimesh.Trimesh) -> Surface:
-    return Surface(np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int64))
+def _surface(mesh: trimesh.Trimesh) -> Patch:
+    return Patch(np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.int64))

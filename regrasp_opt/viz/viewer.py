@@ -14,7 +14,7 @@ from regrasp_opt.errors import OptionError
 from regrasp_opt.viz.candidate_view import CandidateView, add_coloured
 from regrasp_opt.viz.page import field_surface
 from regrasp_opt.viz.scene import PlanScene
-from regrasp_opt.viz.surfaces import Surface
+from regrasp_opt.viz.surfaces import Patch
 
 HIDDEN = "hidden"
 FIELD_OF_VIEW = 0.7
@@ -180,12 +180,12 @@ class PlanViewer:
     def _frame(self, name: str) -> Any:
         return self._server.scene.add_frame(name, show_axes=False)
 
-    def _mesh(self, name: str, surface: Surface, colour: Any, **options: Any) -> Any:
+    def _mesh(self, name: str, surface: Patch, colour: Any, **options: Any) -> Any:
         return self._server.scene.add_mesh_simple(
             name, surface.vertices.astype(np.float32), surface.faces.astype(np.uint32), color=colour, **options
         )
 
-    def _placed_mesh(self, name: str, surface: Surface, colour: Any, pose: Any, **options: Any) -> Any:
+    def _placed_mesh(self, name: str, surface: Patch, colour: Any, pose: Any, **options: Any) -> Any:
         return self._mesh(name, surface, colour, position=pose[:3], wxyz=pose[[6, 3, 4, 5]], **options)
 
 

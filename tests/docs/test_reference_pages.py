@@ -12,7 +12,7 @@ from regrasp_opt import Status, conventions
 from regrasp_opt.cli.app import app
 from regrasp_opt.end_effectors import loading
 from regrasp_opt.planning import plan_file
-from regrasp_opt.workcell import schema
+from regrasp_opt.scene import schema
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

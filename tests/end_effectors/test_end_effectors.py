@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from regrasp_opt.end_effectors import END_EFFECTOR_NAMES, EndEffector, load_end_effector
 from regrasp_opt.errors import UnknownNameError, WorkcellError
-from regrasp_opt.shapes import Box, Cylinder, surface_points
+from regrasp_opt.geometry.shapes import Box, Cylinder, surface_points
 
 PARALLEL = ("w", "r140", "r85")
 SUCTION = ("s1", "s2", "s3")

@@ -12,12 +12,12 @@ from verifying import PlainCheck
 from regrasp_opt.conventions import planar_transform, translation
 from regrasp_opt.feasibility import FeasibilityChecker
 from regrasp_opt.feasibility.dataset import random_poses
+from regrasp_opt.geometry.shapes import Box
 from regrasp_opt.grasps import GraspSet, sample_grasps
 from regrasp_opt.objects import load_object
 from regrasp_opt.robots import load_robot
-from regrasp_opt.shapes import Box
-from regrasp_opt.workcell import load_workcell
-from regrasp_opt.workcell.model import Clearance
+from regrasp_opt.scene import load_workcell
+from regrasp_opt.scene.workcell import Clearance
 
 BUILT_IN = (files("regrasp_opt") / "data" / "workcells" / "nova2-w.toml").read_text("utf-8")
 FOREIGN = Path(str(distribution("example-robot-data").locate_file("cmeel.prefix/share/example-robot-data/robots")))

@@ -11,10 +11,10 @@ from regrasp_opt.conventions import translation
 from regrasp_opt.errors import GraspError
 from regrasp_opt.feasibility import FeasibilityChecker
 from regrasp_opt.feasibility.diagnosis import Cause, Reason, diagnose, summary, tally
+from regrasp_opt.geometry.shapes import Box
 from regrasp_opt.planning.tasks import random_graspable_pose
-from regrasp_opt.shapes import Box
-from regrasp_opt.workcell import load_workcell
-from regrasp_opt.workcell.model import Bounds
+from regrasp_opt.scene import load_workcell
+from regrasp_opt.scene.workcell import WorkspaceBounds
 
 
 def checker_of(problem, **changes):
@@ -114,7 +114,9 @@ def test_a_workspace_without_graspable_poses_says_why(tmp_path, monkeypatch):
     text = (files("regrasp_opt") / "data" / "workcells" / "nova2-w.toml").read_text("utf-8")
     (tmp_path / "far.toml").write_text(text, "utf-8")
     cell = load_workcell(tmp_path / "far.toml")
-    far = replace(cell, bounds=Bounds((0.0, 0.1), (0.9, 0.92)), table=replace(cell.table, size=np.array([3.0, 3.0])))
+    far = replace(
+        cell, bounds=WorkspaceBounds((0.0, 0.1), (0.9, 0.92)), table=replace(cell.table, size=np.array([3.0, 3.0]))
+    )
     problem = RegraspProblem.load("bottle", far)
     with pytest.raises(GraspError, match=r"in 30 tries: \d+ (out of reach|gripper in table|no inverse)"):
         random_graspable_pose(problem, np.random.default_rng(0))

@@ -7,9 +7,9 @@ import pytest
 
 from regrasp_opt.feasibility.geometry import static_bodies
 from regrasp_opt.feasibility.standing import resting_problem, standing_problem
-from regrasp_opt.shapes import Box, Cylinder, Mesh, mesh_geometry, shape_geometry
-from regrasp_opt.workcell import load_workcell
-from regrasp_opt.workcell.model import Table
+from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh, mesh_geometry, shape_geometry
+from regrasp_opt.scene import load_workcell
+from regrasp_opt.scene.workcell import Table
 
 HEIGHT = 0.2
 CORNERS = np.array(np.meshgrid([-0.03, 0.03], [-0.02, 0.02], [0.0, 0.1])).reshape(3, -1).T

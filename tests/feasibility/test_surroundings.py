@@ -8,11 +8,11 @@ from verifying import PlainCheck
 
 from regrasp_opt.conventions import planar_transform, translation
 from regrasp_opt.feasibility import FeasibilityChecker
+from regrasp_opt.geometry.shapes import Box
 from regrasp_opt.grasps import sample_grasps
 from regrasp_opt.objects import load_object
-from regrasp_opt.shapes import Box
-from regrasp_opt.workcell import load_workcell
-from regrasp_opt.workcell.model import Table
+from regrasp_opt.scene import load_workcell
+from regrasp_opt.scene.workcell import Table
 
 FAR = translation(5.0, 5.0, 0.5)
 

@@ -12,12 +12,12 @@ from regrasp_opt.connectivity import TableRule
 from regrasp_opt.conventions import planar_transform, translation
 from regrasp_opt.feasibility import FeasibilityChecker
 from regrasp_opt.feasibility.tabletop import _extreme, points_in_table, wrist_bodies
+from regrasp_opt.geometry.shapes import Mesh, mesh_geometry, shape_geometry, surface_points
 from regrasp_opt.grasps import sample_grasps
 from regrasp_opt.objects import load_object
 from regrasp_opt.robots import load_robot
-from regrasp_opt.shapes import Mesh, mesh_geometry, shape_geometry, surface_points
-from regrasp_opt.workcell import load_workcell
-from regrasp_opt.workcell.model import Table
+from regrasp_opt.scene import load_workcell
+from regrasp_opt.scene.workcell import Table
 
 
 def rule(cell, grasps, placements):

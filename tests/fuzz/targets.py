@@ -27,7 +27,7 @@ from regrasp_opt.planning import RegraspPlan, RegraspProblem, solve_sequence
 from regrasp_opt.planning.model_store import REPORT_FILE
 from regrasp_opt.planning.pose_text import parse_pose
 from regrasp_opt.robots import load_robot
-from regrasp_opt.workcell import load_workcell
+from regrasp_opt.scene import load_workcell
 
 from . import mutations as damage
 from .commands import command_lines, run_command_line

@@ -18,7 +18,7 @@ from regrasp_opt import RegraspProblem
 from regrasp_opt.benchmarks.harness.instances import PosePool
 from regrasp_opt.cli import check as check_command
 from regrasp_opt.errors import MeshError
-from regrasp_opt.workcell import load_workcell
+from regrasp_opt.scene import load_workcell
 
 SLOWLY_READ = ("plan", "motion", "command line")
 

@@ -27,11 +27,11 @@ from regrasp_opt.benchmarks.harness.subjects import resident
 from regrasp_opt.benchmarks.paper.hard_tiers import with_obstacles
 from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.files import atomic_path
+from regrasp_opt.geometry.shapes import Box
 from regrasp_opt.planning import Recipe, RegraspPlan, RegraspProblem, solve_sequence
-from regrasp_opt.planning.verification import PoseKnowledge, prove_sequence
-from regrasp_opt.shapes import Box
+from regrasp_opt.planning.verification import PoseFeasibility, prove_sequence
+from regrasp_opt.scene import Workcell, load_workcell
 from regrasp_opt.solvers import Candidates, NlpRefiner, RecordingRefiner
-from regrasp_opt.workcell import Workcell, load_workcell
 
 DATA = Path(str(files("regrasp_opt"))) / "data"
 MAX_REGRASPS = 3
@@ -150,10 +150,10 @@ def _trial(problem: RegraspProblem, instance: Instance, seed: int, verifier: _Ve
 
 def _low_energy(problem: RegraspProblem, instance: Instance, kept: list[Candidates]) -> tuple[int, int]:
     """Return how many candidates the learned energy takes for plans, and how many of these are none."""
-    known: dict[bytes, PoseKnowledge] = {}
+    known: dict[bytes, PoseFeasibility] = {}
 
-    def knowledge(T: FloatArray) -> PoseKnowledge:
-        return known.setdefault(T.tobytes(), PoseKnowledge(problem.checker, T))
+    def knowledge(T: FloatArray) -> PoseFeasibility:
+        return known.setdefault(T.tobytes(), PoseFeasibility(problem.checker, T))
 
     h = problem.energy.model.threshold
     low = failed = 0

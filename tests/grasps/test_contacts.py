@@ -9,14 +9,14 @@ import pytest
 import trimesh
 
 from regrasp_opt.end_effectors import load_end_effector
+from regrasp_opt.geometry.shapes import surface_points
 from regrasp_opt.grasps.antipodal import contact_depths, contact_pairs
 from regrasp_opt.grasps.candidates import frames_about
 from regrasp_opt.grasps.clearance import GripperClearance
-from regrasp_opt.grasps.surface import Surface, cast_rays, make_surface, sample_points
-from regrasp_opt.shapes import surface_points
+from regrasp_opt.grasps.surface import TriangleSurface, cast_rays, make_surface, sample_points
 
 
-def wedge(apex: float, base: float = 0.05, length: float = 0.3) -> Surface:
+def wedge(apex: float, base: float = 0.05, length: float = 0.3) -> TriangleSurface:
     """Return a prism with an isosceles section: its apex angle [deg] is on top, its base on z = 0."""
     height = base / 2 / np.tan(np.deg2rad(apex) / 2)
     section = np.array([[-base / 2, 0.0], [base / 2, 0.0], [0.0, height]])

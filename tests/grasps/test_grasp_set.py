@@ -106,7 +106,7 @@ def test_corrupt_files_are_refused(tmp_path: Path, damage: str) -> None:
 )
 def test_malformed_sets_are_refused(change: Callable[..., Any], text: str) -> None:
     with pytest.raises(GraspError, match=text):
-        GraspSet(*change(make().T_object_tcp, make().width), "parallel")
+        GraspSet(*change(make().T_object_tcp, make().width), "parallel")  # type: ignore[call-arg]
 
 
 def test_unknown_kinds_are_refused() -> None:
@@ -114,7 +114,7 @@ def test_unknown_kinds_are_refused() -> None:
         GraspSet(make().T_object_tcp, make().width, "magnet")  # type: ignore[arg-type]
 
 
-def changed(array: np.ndarray, index: Any, value: float) -> np.ndarray:
+def changed(array: np.ndarray, index: Any, value: Any) -> np.ndarray:
     array = array.copy()
     array[index] = value
     return array
@@ -150,7 +150,7 @@ def test_rotations_that_are_off_by_rounding_are_made_orthonormal() -> None:
 @pytest.mark.parametrize("key", ["T_object_tcp", "width", "kind"])
 def test_a_missing_array_is_named(tmp_path: Path, key: str) -> None:
     arrays = {"T_object_tcp": make().T_object_tcp, "width": make().width, "kind": np.array("parallel")}
-    np.savez(tmp_path / "grasps.npz", **{name: value for name, value in arrays.items() if name != key})
+    np.savez(tmp_path / "grasps.npz", **{name: value for name, value in arrays.items() if name != key})  # type: ignore[arg-type]
     with pytest.raises(GraspError, match=f"lacks the array '{key}'"):
         GraspSet.load(tmp_path / "grasps.npz")
 

@@ -17,7 +17,7 @@ from regrasp_opt.end_effectors.model import Pad
 from regrasp_opt.grasps import CONTACT_TOLERANCE, Failure, GraspSet, hold_failures, rejected_grasps, sample_grasps
 from regrasp_opt.grasps.antipodal import FRICTION
 from regrasp_opt.grasps.holding import GAP
-from regrasp_opt.grasps.settling import GraspSettler
+from regrasp_opt.grasps.projection import GraspProjector
 from regrasp_opt.objects import ObjectModel, load_object
 
 SETS = [("bottle", "w"), ("bottle", "r140"), ("bottle", "r85"), ("bottle", "s1"), ("mug", "w"), ("mug", "s2")]
@@ -65,10 +65,10 @@ def test_grasps_hold_in_single_precision_and_to_a_tenth_of_a_millimetre(tool: st
 @pytest.mark.parametrize("tool", ["w", "s2"])
 def test_what_settles_holds(name: str, tool: str) -> None:
     model, effector, rng = load_object(name), load_end_effector(tool), np.random.default_rng(2)
-    settler = GraspSettler(model, effector)
-    T, _ = settler.anywhere(60, rng)
+    projector = GraspProjector(model, effector)
+    T, _ = projector.anywhere(60, rng)
     T[:, :3, 3] += rng.normal(scale=0.005, size=(len(T), 3))
-    settled, source = settler.settle(T, 2)
+    settled, source = projector.settle(T, 2)
     assert len(settled) == len(source) >= 5
     assert rejected_grasps(settled, model, effector) == {}
 

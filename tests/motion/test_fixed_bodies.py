@@ -9,8 +9,8 @@ from oracles.files import DATA
 
 from regrasp_opt import load_workcell
 from regrasp_opt.errors import WorkcellError
-from regrasp_opt.motion.joint_bodies import configuration_rows, object_rows
-from regrasp_opt.motion.scene import LEVELS, MotionScene
+from regrasp_opt.motion.refinement.bodies import configuration_rows, object_rows
+from regrasp_opt.motion.trajectory.collision_context import LEVELS, MotionScene
 from regrasp_opt.planning.residuals import _Scene
 
 URDF = (DATA / "robots" / "nova2" / "nova2.urdf").read_text("utf-8")

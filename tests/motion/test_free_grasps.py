@@ -12,10 +12,10 @@ from regrasp_opt.energy.export import grasp_function
 from regrasp_opt.errors import OptionError
 from regrasp_opt.grasps import gripper_free
 from regrasp_opt.grasps.antipodal import FRICTION, WIDENINGS, contact_depths
-from regrasp_opt.grasps.settling import GraspSettler
+from regrasp_opt.grasps.projection import GraspProjector
 from regrasp_opt.grasps.suction import NO_SEAL
 from regrasp_opt.motion import FreeGraspOptions, solve_with_free_grasps
-from regrasp_opt.motion.free_grasp_program import STEP, ChainSolve, FreeGraspProgram, displaced, random_move
+from regrasp_opt.motion.free_grasps.program import STEP, ChainSolve, FreeGraspProgram, displaced, random_move
 from regrasp_opt.planning.tasks import random_task
 
 
@@ -50,9 +50,9 @@ def contacts_hold(body, effector, T, width):
 def test_settled_grasps_keep_the_rules_of_the_sampler(name):
     problem = RegraspProblem.load(name, "nova2-w")
     body, effector = problem.object, problem.workcell.end_effector
-    settler = GraspSettler(body, effector)
+    projector = GraspProjector(body, effector)
     tools = moved(problem.grasps.T_object_tcp, np.random.default_rng(0), 60)
-    grasps, source = settler.settle(tools)
+    grasps, source = projector.settle(tools)
     assert 10 < len(grasps) < 60 and (np.diff(source) > 0).all()
     assert gripper_free(grasps, body, effector).all()
     assert (grasps.width + 2 * effector.pre_opening <= effector.max_opening + 1e-9).all()
@@ -61,34 +61,34 @@ def test_settled_grasps_keep_the_rules_of_the_sampler(name):
 
 
 def test_a_sampled_grasp_settles_where_it_is(bottle_problem):
-    settler = GraspSettler(bottle_problem.object, bottle_problem.workcell.end_effector)
+    projector = GraspProjector(bottle_problem.object, bottle_problem.workcell.end_effector)
     sampled = bottle_problem.grasps.subset(np.arange(0, 200, 10))
-    grasps, source = settler.settle(sampled.T_object_tcp)
+    grasps, source = projector.settle(sampled.T_object_tcp)
     np.testing.assert_array_equal(source, np.arange(len(sampled)))
     np.testing.assert_allclose(grasps.T_object_tcp, sampled.T_object_tcp, atol=2e-3)
     np.testing.assert_allclose(grasps.width, sampled.width, atol=max(WIDENINGS) + 1e-9)
 
 
 def test_tools_beside_the_object_settle_nowhere(bottle_problem):
-    settler = GraspSettler(bottle_problem.object, bottle_problem.workcell.end_effector)
+    projector = GraspProjector(bottle_problem.object, bottle_problem.workcell.end_effector)
     far = np.eye(4)
     far[:3, 3] = 1.0
-    grasps, source = settler.settle(far[None])
+    grasps, source = projector.settle(far[None])
     assert len(grasps) == len(source) == 0
-    assert len(settler.settle(np.zeros((0, 4, 4)))[0]) == 0
+    assert len(projector.settle(np.zeros((0, 4, 4)))[0]) == 0
 
 
 def test_suction_grasps_settle_on_the_surface_and_seal():
     problem = RegraspProblem.load("bottle", "nova2-s1")
-    settler = GraspSettler(problem.object, problem.workcell.end_effector)
-    grade = settler.worst_grade(problem.grasps)
+    projector = GraspProjector(problem.object, problem.workcell.end_effector)
+    grade = projector.worst_grade(problem.grasps)
     assert 0 <= grade < NO_SEAL
-    grasps, _ = settler.settle(moved(problem.grasps.T_object_tcp, np.random.default_rng(1), 40), grade)
+    grasps, _ = projector.settle(moved(problem.grasps.T_object_tcp, np.random.default_rng(1), 40), grade)
     assert len(grasps) > 10 and (grasps.width == 0).all()
     assert gripper_free(grasps, problem.object, problem.workcell.end_effector).all()
     _, distance, _ = trimesh.proximity.closest_point(problem.object.mesh, grasps.T_object_tcp[:, :3, 3])
     assert distance.max() < 1e-6
-    assert settler.worst_grade(grasps) <= grade
+    assert projector.worst_grade(grasps) <= grade
 
 
 @pytest.mark.parametrize("kind", ["parallel", "suction"])
@@ -177,14 +177,14 @@ def test_without_regrasps_one_free_grasp_must_do_for_both_ends(bottle_problem):
 
 def test_suction_grasps_are_drawn_from_the_surface():
     problem = RegraspProblem.load("bottle", "nova2-s1")
-    settler = GraspSettler(problem.object, problem.workcell.end_effector)
-    T, width = settler.anywhere(40, np.random.default_rng(0))
+    projector = GraspProjector(problem.object, problem.workcell.end_effector)
+    T, width = projector.anywhere(40, np.random.default_rng(0))
     assert len(T) == 40 and (width == 0).all()
     _, distance, face = trimesh.proximity.closest_point(problem.object.mesh, T[:, :3, 3])
     assert distance.max() < 1e-6
     inward = -np.einsum("ij,ij->i", T[:, :3, 2], problem.object.mesh.face_normals[face])
     assert np.quantile(inward, 0.2) > 0.99  # but for points on an edge, which belong to two faces
-    assert len(settler.settle(T, settler.worst_grade(problem.grasps))[0]) > 5
+    assert len(projector.settle(T, projector.worst_grade(problem.grasps))[0]) > 5
 
 
 def test_random_moves_slide_contacts_along_the_surface():
@@ -206,7 +206,9 @@ def test_a_plan_of_the_sampled_grasps_is_returned_as_it_is(bottle_problem):
 
 def test_without_success_the_status_says_why(thinned, monkeypatch):
     problem, task = thinned
-    monkeypatch.setattr(GraspSettler, "settle", lambda self, T, grade=0: (problem.grasps.subset([]), np.zeros(0, int)))
+    monkeypatch.setattr(
+        GraspProjector, "settle", lambda self, T, grade=0: (problem.grasps.subset([]), np.zeros(0, int))
+    )
     options = FreeGraspOptions(rounds=1, chains=2, searches=())
     plan = solve_with_free_grasps(problem, task.start, task.goal, max_regrasps=1, options=options)
     assert plan.status in (Status.START_INFEASIBLE, Status.GOAL_INFEASIBLE, Status.NOT_FOUND)

@@ -8,11 +8,11 @@ import trimesh
 
 from regrasp_opt.conventions import translation
 from regrasp_opt.errors import PoseError
-from regrasp_opt.motion.proof import prove
-from regrasp_opt.motion.scene import MotionScene
-from regrasp_opt.motion.trajectory import Trajectory
+from regrasp_opt.geometry.shapes import Mesh
+from regrasp_opt.motion.trajectory.collision_context import MotionScene
+from regrasp_opt.motion.trajectory.continuous_collision import prove
+from regrasp_opt.motion.trajectory.trajectory import Trajectory
 from regrasp_opt.planning.ends import checked_end
-from regrasp_opt.shapes import Mesh
 
 
 def mesh(name, *parts, at=(0.0, 0.0, 0.0)):

@@ -13,15 +13,15 @@ from scipy.spatial.transform import Rotation
 from regrasp_opt import RegraspPlan, solve_sequence
 from regrasp_opt.conventions import invert, translation
 from regrasp_opt.errors import OptionError, UnknownNameError
-from regrasp_opt.motion import Bounds, SearchOptions, refine_plan
-from regrasp_opt.motion.joint_bodies import Capsule, _solid, _to_obstacle, covering_capsule
-from regrasp_opt.motion.joint_choice import States, best_choices, states_at, unreachable
-from regrasp_opt.motion.joint_measures import JointMeasures, first_choice, manipulability, measure_choice, travel
-from regrasp_opt.motion.joint_program import joint_functions
-from regrasp_opt.motion.joint_search import JointSearch
+from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh, shape_geometry, surface_points
+from regrasp_opt.motion import MeasureBounds, SearchOptions, refine_plan
+from regrasp_opt.motion.refinement.bodies import Capsule, _solid, _to_obstacle, covering_capsule
+from regrasp_opt.motion.refinement.choice import States, best_choices, states_at, unreachable
+from regrasp_opt.motion.refinement.measures import JointMeasures, first_choice, manipulability, measure_choice, travel
+from regrasp_opt.motion.refinement.program import joint_functions
+from regrasp_opt.motion.refinement.search import JointSearch
 from regrasp_opt.planning.tasks import random_task
 from regrasp_opt.robots import load_robot
-from regrasp_opt.shapes import Box, Cylinder, Mesh, shape_geometry, surface_points
 
 SHORT = SearchOptions(starts=1, rounds=1)
 
@@ -45,7 +45,7 @@ def random_states(rng, grasps):
 
 
 @pytest.mark.parametrize("home", [None, np.array([0.5, -1.0])])
-@pytest.mark.parametrize("bounds", [Bounds(), Bounds(clearance=0.3, manipulability=0.2)])
+@pytest.mark.parametrize("bounds", [MeasureBounds(), MeasureBounds(clearance=0.3, manipulability=0.2)])
 def test_the_choice_is_the_best_of_all(home, bounds):
     rng = np.random.default_rng(1)
     for _ in range(5):
@@ -69,12 +69,12 @@ def test_the_choice_of_the_largest_clearance_has_it():
     rng = np.random.default_rng(2)
     pair = random_states(rng, 30), random_states(rng, 30)
     best = max(min(s.clearance[s.grasp_ids == g].max() for s in pair) for g in range(3))
-    (found,) = best_choices([pair], "clearance", Bounds())
+    (found,) = best_choices([pair], "clearance", MeasureBounds())
     for side, states in enumerate(pair):
         k = np.flatnonzero((states.q == found.q[0, side]).all(axis=1))[0]
         assert states.clearance[k] >= best - 1e-6
-    assert "short of the bound of at least 2 m" in unreachable([pair], Bounds(clearance=2.0))
-    assert best_choices([pair], "travel", Bounds(clearance=2.0)) == []
+    assert "short of the bound of at least 2 m" in unreachable([pair], MeasureBounds(clearance=2.0))
+    assert best_choices([pair], "travel", MeasureBounds(clearance=2.0)) == []
 
 
 def test_states_are_free_and_on_their_grasps(plan, bottle_problem):
@@ -214,14 +214,14 @@ def test_other_measures_grow(plan, measure):
 
 
 def test_an_unreachable_clearance_is_named_with_its_shortfall(plan):
-    result = refine_plan(plan, bounds=Bounds(clearance=0.3), options=SHORT)
+    result = refine_plan(plan, bounds=MeasureBounds(clearance=0.3), options=SHORT)
     assert result.plan is plan and result.after == result.before
     assert "the clearance of its best shared grasp is" in result.reason
     assert "short of the bound of at least 0.3 m; Ipopt ended with" in result.reason
 
 
 def test_an_unreachable_travel_is_named_with_its_shortfall(plan):
-    result = refine_plan(plan, "clearance", bounds=Bounds(travel=0.5), options=SHORT)
+    result = refine_plan(plan, "clearance", bounds=MeasureBounds(travel=0.5), options=SHORT)
     assert result.plan is plan
     assert "off the bound of at most 0.5 rad; Ipopt ended with" in result.reason
 
@@ -231,7 +231,7 @@ def test_an_unreachable_travel_is_named_with_its_shortfall(plan):
     [("manipulability", 0.5, "short of the bound of at least 0.5"), ("cost", -50.0, "off the bound of at most -50")],
 )
 def test_other_unreachable_bounds_are_named_with_their_shortfall(plan, name, bound, said):
-    result = refine_plan(plan, bounds=Bounds(**{name: bound}), options=SHORT)
+    result = refine_plan(plan, bounds=MeasureBounds(**{name: bound}), options=SHORT)
     assert result.plan is plan and result.after == result.before and result.discrete is None
     assert f"the {name}" in result.reason and said in result.reason
 
@@ -292,7 +292,7 @@ def test_bad_input_is_refused(plan, bottle_problem):
         refine_plan(plan, home=np.full(6, np.nan))
     for name in ("travel", "clearance", "manipulability", "cost"):
         with pytest.raises(OptionError, match=f"the bound on the {name} is nan; give a number"):
-            Bounds(**{name: float("nan")})
+            MeasureBounds(**{name: float("nan")})
     with pytest.raises(OptionError, match="cannot set up the plugin 'ipopt'"):
         refine_plan(plan, options=SearchOptions(starts=1, rounds=1, ipopt={"no_such_option": 1}))
     with pytest.raises(OptionError, match="starts is 0"):
@@ -304,10 +304,14 @@ def test_bad_input_is_refused(plan, bottle_problem):
 
 def test_bounds_say_which_is_broken():
     measures = JointMeasures(5.0, 0.01, 0.02, -3.0)
-    assert Bounds().shortfall(measures) == ""
-    assert Bounds(travel=4.0).shortfall(measures).startswith("the travel is 5 rad, 1 rad off the bound of at most 4")
-    assert "0.01 m" in Bounds(clearance=0.02).shortfall(measures)
-    tight = Bounds(clearance=0.005).tightened(measures, ["clearance", "travel"])
+    assert MeasureBounds().shortfall(measures) == ""
+    assert (
+        MeasureBounds(travel=4.0)
+        .shortfall(measures)
+        .startswith("the travel is 5 rad, 1 rad off the bound of at most 4")
+    )
+    assert "0.01 m" in MeasureBounds(clearance=0.02).shortfall(measures)
+    tight = MeasureBounds(clearance=0.005).tightened(measures, ["clearance", "travel"])
     assert (tight.clearance, tight.travel) == (0.01, 5.0)
 
 

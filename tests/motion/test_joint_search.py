@@ -7,17 +7,18 @@ import pytest
 from transforms import IN_THE_BASE
 
 from regrasp_opt.errors import OptionError
-from regrasp_opt.motion import Bounds, SearchOptions, joint_search, refine_plan
-from regrasp_opt.motion.joint_choice import States, unreachable
-from regrasp_opt.motion.joint_measures import first_choice
-from regrasp_opt.motion.joint_search import JointSearch
+from regrasp_opt.motion import MeasureBounds, SearchOptions, refine_plan
+from regrasp_opt.motion.refinement import search as joint_search
+from regrasp_opt.motion.refinement.choice import States, unreachable
+from regrasp_opt.motion.refinement.measures import first_choice
+from regrasp_opt.motion.refinement.search import JointSearch
 
 SHORT = SearchOptions(starts=1, rounds=1)
 
 
 @pytest.fixture
 def search(bottle_plan):
-    return JointSearch(bottle_plan, "travel", Bounds(), None, SHORT)
+    return JointSearch(bottle_plan, "travel", MeasureBounds(), None, SHORT)
 
 
 def test_the_plans_own_choice_is_proved(search, bottle_plan):
@@ -70,9 +71,11 @@ def test_a_weight_below_zero_is_refused():
 def test_why_no_choice_keeps_to_the_bounds_is_told_apart():
     q = np.zeros((2, 6))
     states = States(np.array([0, 1]), q, np.array([0.01, 0.05]), np.array([0.2, 0.1]))
-    assert unreachable([(states, states)], Bounds(clearance=0.1)).startswith("transition 0: the clearance of its best")
-    both = Bounds(clearance=0.04, manipulability=0.15)  # each by another grasp
+    assert unreachable([(states, states)], MeasureBounds(clearance=0.1)).startswith(
+        "transition 0: the clearance of its best"
+    )
+    both = MeasureBounds(clearance=0.04, manipulability=0.15)  # each by another grasp
     assert unreachable([(states, states)], both).endswith("keeps to the bounds on clearance and manipulability at once")
     nothing = states.where(np.zeros(2, dtype=bool))
-    said = unreachable([(states, states), (states, nothing)], Bounds())
+    said = unreachable([(states, states), (states, nothing)], MeasureBounds())
     assert said == "transition 1: no shared grasp has a free configuration"

@@ -12,8 +12,8 @@ import trimesh
 
 from regrasp_opt.errors import OptionError, PlanFileError
 from regrasp_opt.motion import MotionPlan, MotionStatus
-from regrasp_opt.motion import motion_file as module
-from regrasp_opt.motion.scene_export import _rpy
+from regrasp_opt.motion.trajectory import motion_file as module
+from regrasp_opt.motion.trajectory.scene_export import _rpy
 
 DOCS = Path(__file__).parents[2] / "docs" / "motion.md"
 

@@ -9,10 +9,11 @@ from verifying import motion_findings
 from regrasp_opt import Recipe, Status, solve_sequence
 from regrasp_opt.conventions import translation
 from regrasp_opt.errors import OptionError
-from regrasp_opt.motion import MotionOptions, MotionStatus, Phase, connections, plan_motion, plan_with_motion
-from regrasp_opt.motion import together as together_module
-from regrasp_opt.motion.connections import Connector
-from regrasp_opt.shapes import Box
+from regrasp_opt.geometry.shapes import Box
+from regrasp_opt.motion import MotionOptions, MotionStatus, Phase, plan_motion, plan_with_motion
+from regrasp_opt.motion.trajectory import connector as connections
+from regrasp_opt.motion.trajectory import together as together_module
+from regrasp_opt.motion.trajectory.connector import Connector
 from regrasp_opt.solvers import LatticeRefiner
 
 FEW = Recipe(LatticeRefiner(), batches=(5,), proved=5, fallback=0)

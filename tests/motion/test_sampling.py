@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from regrasp_opt.motion.sampling import SPACING, polyline
-from regrasp_opt.motion.scene import Setting
+from regrasp_opt.motion.trajectory.collision_context import CollisionContext
+from regrasp_opt.motion.trajectory.sampling import SPACING, polyline
 
 LIMITS = np.array([-1.0, -1.0]), np.array([1.0, 1.0])
 START, GOAL = np.array([-0.5, 0.0]), np.array([0.5, 0.0])
@@ -18,7 +18,7 @@ def wall(gap, thickness=0.2):
     def passes(q, level):
         return bool(abs(q[0]) > thickness / 2 or q[1] > 1.0 - gap)
 
-    return Setting(passes, np.ones(2))
+    return CollisionContext(passes, np.ones(2))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -46,6 +46,6 @@ def test_no_way_is_none():
 
 
 def test_a_free_straight_way_has_no_corners():
-    free = Setting(lambda q, level: True, np.ones(2))
+    free = CollisionContext(lambda q, level: True, np.ones(2))
     corners = polyline(free, START, GOAL, LIMITS, np.random.default_rng(0), iterations=1)
     assert np.array_equal(corners, [START, GOAL])

@@ -11,8 +11,8 @@ import trimesh
 from oracles.files import DATA
 
 from regrasp_opt import RegraspProblem, solve_sequence
-from regrasp_opt.motion.scene_export import save_scene
-from regrasp_opt.workcell import load_workcell
+from regrasp_opt.motion.trajectory.scene_export import save_scene
+from regrasp_opt.scene import load_workcell
 
 OBSTACLES = """
 [[obstacles]]

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from regrasp_opt.motion.timing import rest_to_rest
-from regrasp_opt.motion.trajectory import Trajectory, joined
+from regrasp_opt.motion.trajectory.time_parameterization import rest_to_rest
+from regrasp_opt.motion.trajectory.trajectory import Trajectory, joined
 
 
 def random_trajectory(rng, knots=6, dof=3):

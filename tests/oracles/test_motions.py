@@ -7,12 +7,12 @@ import pytest
 import trimesh
 from verifying import motion_findings, plan_verifier
 
+from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh
 from regrasp_opt.motion import Phase
-from regrasp_opt.motion.lines import line
-from regrasp_opt.motion.timing import through
-from regrasp_opt.motion.trajectory import Trajectory
+from regrasp_opt.motion.trajectory.cartesian_path import line
+from regrasp_opt.motion.trajectory.time_parameterization import through
+from regrasp_opt.motion.trajectory.trajectory import Trajectory
 from regrasp_opt.robots import load_robot
-from regrasp_opt.shapes import Box, Cylinder, Mesh
 
 
 def changed(motion, phase, **changes):

@@ -15,9 +15,9 @@ from verifying import body_verifier, plan_problems, plan_verifier
 from oracles.plans import PlanVerifier
 from regrasp_opt import RegraspProblem, solve_sequence
 from regrasp_opt.conventions import translation
+from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh
 from regrasp_opt.planning.tasks import random_task
 from regrasp_opt.robots import load_robot
-from regrasp_opt.shapes import Box, Cylinder, Mesh
 
 ROOT = Path(__file__).parents[2]
 
@@ -152,7 +152,7 @@ def test_cups_that_do_not_seal_are_named():
 def suction_grasps():
     from regrasp_opt.grasps import sample_grasps
     from regrasp_opt.objects import load_object
-    from regrasp_opt.workcell import load_workcell
+    from regrasp_opt.scene import load_workcell
 
     return sample_grasps(load_object("bottle"), load_workcell("nova2-s1").end_effector, 20, seed=0)
 

@@ -8,7 +8,7 @@ import pytest
 
 from regrasp_opt import RegraspProblem, solve_sequence
 from regrasp_opt.planning.tasks import random_task
-from regrasp_opt.workcell import Table
+from regrasp_opt.scene import Table
 
 
 @pytest.mark.parametrize("name", ["bottle", "mug", "pentagon", "figurine"])

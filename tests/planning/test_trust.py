@@ -21,7 +21,7 @@ from regrasp_opt.motion import plan_motion
 from regrasp_opt.objects import ObjectModel, stable_placements
 from regrasp_opt.planning.residuals import _end_violations
 from regrasp_opt.planning.tasks import random_task
-from regrasp_opt.workcell import Table
+from regrasp_opt.scene import Table
 
 
 def _on_table(problem, rotation):

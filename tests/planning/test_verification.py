@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from regrasp_opt.planning.verification import PoseKnowledge, enumerate_transition, prove_sequence, share_a_grasp
+from regrasp_opt.planning.verification import PoseFeasibility, enumerate_transition, prove_sequence, share_a_grasp
 
 GRASPS = 40
 
@@ -27,7 +27,7 @@ class Checker:
         return T == "blocked"
 
     def poses(self):
-        return {name: PoseKnowledge(self, name) for name in self.table}
+        return {name: PoseFeasibility(self, name) for name in self.table}
 
 
 def test_nothing_is_asked_twice():
@@ -43,7 +43,7 @@ def test_nothing_is_asked_twice():
     assert np.flatnonzero(pose.possible()).tolist() == [1, 5]
     assert not pose.object_collides and not pose.object_collides
     assert checker.asked[GRASPS:] == [("a", "object")]
-    assert PoseKnowledge(checker, "blocked").object_collides
+    assert PoseFeasibility(checker, "blocked").object_collides
 
 
 def test_promising_grasps_are_tried_first_and_one_suffices():
@@ -110,7 +110,7 @@ class Arm(Checker):
         self.workcell = SimpleNamespace(robot=robot)
 
     def poses(self):
-        return {name: PoseKnowledge(self, np.full((4, 4), float(ord(name)))) for name in self.table}
+        return {name: PoseFeasibility(self, np.full((4, 4), float(ord(name)))) for name in self.table}
 
     def feasible(self, T, ids):
         return self.table[chr(int(T[0, 0]))][ids]
@@ -142,7 +142,7 @@ def test_a_transition_has_all_shared_grasps_with_the_shortest_free_moves():
 
 
 def test_a_transition_without_a_shared_grasp_is_empty(bottle_problem):
-    far = [PoseKnowledge(bottle_problem.checker, bottle_problem.pose(0, x, 0.35)) for x in (0.2, -0.2)]
+    far = [PoseFeasibility(bottle_problem.checker, bottle_problem.pose(0, x, 0.35)) for x in (0.2, -0.2)]
     for pose in far:
         pose._known[:] = True
     none = enumerate_transition(bottle_problem.checker, *far)

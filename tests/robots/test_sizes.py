@@ -9,8 +9,8 @@ from arms import arm_urdf
 from dae_files import collada, triangles
 
 from regrasp_opt.errors import WorkcellError
+from regrasp_opt.geometry.solids import Solid
 from regrasp_opt.robots import load_robot
-from regrasp_opt.solids import Solid
 
 TURN = (-3.1, 3.1)
 ARM = arm_urdf(

@@ -186,7 +186,7 @@ def test_parts_of_joints_move_with_them(plan):
 
 
 def test_a_suction_cup_is_drawn():
-    from regrasp_opt.workcell import load_workcell
+    from regrasp_opt.scene import load_workcell
 
     effector = load_workcell("nova2-s1").end_effector
     assert [part.body for part in looks.gripper_parts(effector, 6)] == [6]

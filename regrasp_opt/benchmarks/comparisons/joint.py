@@ -16,7 +16,7 @@ from regrasp_opt.benchmarks.harness.subjects import planning_key, resident
 from regrasp_opt.conventions import IntArray
 from regrasp_opt.files import content_hash
 from regrasp_opt.motion import refine_plan, solve_with_free_grasps
-from regrasp_opt.motion.joint_measures import Measure
+from regrasp_opt.motion.refinement.measures import Measure
 from regrasp_opt.planning import RegraspProblem, solve_sequence
 from regrasp_opt.planning.tasks import random_task
 

@@ -23,7 +23,7 @@ from regrasp_opt.errors import RegraspError
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.objects.builtin import OBJECT_NAMES
 from regrasp_opt.planning import RegraspProblem
-from regrasp_opt.workcell import Workcell, load_workcell
+from regrasp_opt.scene import Workcell, load_workcell
 
 QUICK_GRID = Resolution(0.06, 12)
 """The oracle of quick runs."""

@@ -11,13 +11,13 @@ from pathlib import Path
 
 from regrasp_opt.errors import ModelError, OptionError, RegraspError
 from regrasp_opt.files import content_hash
-from regrasp_opt.mesh_files import MESH_SUFFIXES
+from regrasp_opt.geometry.mesh_files import MESH_SUFFIXES
 from regrasp_opt.objects import ObjectModel, load_object
 from regrasp_opt.objects.builtin import OBJECT_NAMES
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.planning.model_store import find_model
 from regrasp_opt.planning.prepare import Progress, prepare
-from regrasp_opt.workcell import Workcell
+from regrasp_opt.scene import Workcell
 
 DEFAULT_WORKCELL = "nova2-w"
 _RESIDENTS = 4

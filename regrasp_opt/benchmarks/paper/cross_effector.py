@@ -25,7 +25,7 @@ from regrasp_opt.energy.training import TrainingOptions
 from regrasp_opt.errors import RegraspError
 from regrasp_opt.files import content_hash
 from regrasp_opt.planning import RegraspProblem
-from regrasp_opt.workcell import load_workcell
+from regrasp_opt.scene import load_workcell
 
 TEXT = (
     "An energy trained with one end-effector (row) ranks intermediate poses for another (column), on the latter's "

@@ -21,9 +21,9 @@ from regrasp_opt.benchmarks.harness.subjects import planning_key
 from regrasp_opt.conventions import IntArray, translation
 from regrasp_opt.errors import RegraspError
 from regrasp_opt.files import content_hash
+from regrasp_opt.geometry.shapes import Box
 from regrasp_opt.planning import RegraspProblem
-from regrasp_opt.shapes import Box
-from regrasp_opt.workcell import Bounds, Workcell
+from regrasp_opt.scene import Workcell, WorkspaceBounds
 
 TEXT = (
     "Instances by the fewest regrasps on the exact grid, from subsets of the grasps, a table with obstacles and a "
@@ -71,7 +71,7 @@ def narrowed(cell: Workcell) -> Workcell:
     """Return `cell` with its workspace shrunk to 0.2 m by 0.2 m, off its middle."""
     (x_low, x_high), (y_low, y_high) = cell.bounds.x, cell.bounds.y
     x, y = 0.25 * x_low + 0.75 * x_high, (y_low + y_high) / 2
-    return replace(cell, name=f"{cell.name}, narrow", bounds=Bounds((x - 0.1, x + 0.1), (y - 0.1, y + 0.1)))
+    return replace(cell, name=f"{cell.name}, narrow", bounds=WorkspaceBounds((x - 0.1, x + 0.1), (y - 0.1, y + 0.1)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,1 @@
+"""Shapes and meshes, and the one conversion of both to Coal."""

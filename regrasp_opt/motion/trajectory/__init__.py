@@ -1,0 +1,1 @@
+"""Pick-and-place motions for a plan: paths, time parameterization, continuous collision check, smoothing."""

@@ -1,0 +1,88 @@
+"""Proved trajectories between two configurations, and along straight lines of the tool."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from regrasp_opt.conventions import FloatArray
+from regrasp_opt.motion.trajectory.cartesian_path import line
+from regrasp_opt.motion.trajectory.collision_context import CollisionContext
+from regrasp_opt.motion.trajectory.continuous_collision import prove
+from regrasp_opt.motion.trajectory.options import MotionOptions
+from regrasp_opt.motion.trajectory.sampling import polyline
+from regrasp_opt.motion.trajectory.time_parameterization import (
+    LINE_GRID,
+    PATH_GRID,
+    fastest,
+    rest_to_rest,
+    rounded,
+    through,
+)
+from regrasp_opt.motion.trajectory.trajectory import Trajectory, joined
+from regrasp_opt.robots import Robot
+
+ROUNDING = (0.4, 0.15, 0.05)
+"""Spacings of control points along a polyline that are tried, the smoothest first [rad, m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Connector:
+    """Finds proved trajectories for one robot within its limits.
+
+    Attributes
+    ----------
+    robot : Robot
+    velocity, acceleration : (dof,) arrays
+    distances : tuple of float
+        Lengths of straight lines of the tool that are tried, in that order [m].
+    """
+
+    robot: Robot
+    velocity: FloatArray
+    acceleration: FloatArray
+    distances: tuple[float, ...]
+
+    @staticmethod
+    def of(robot: Robot, options: MotionOptions) -> Connector:
+        """Return the connector for `robot` that `options` ask for."""
+        return Connector(robot, *options.limits(robot), options.distances)
+
+    def away(self, setting: CollisionContext, q: FloatArray, directions: FloatArray) -> Trajectory | None:
+        """Return a proved straight motion of the tool from `q` (dof,) along one of `directions` (D, 3), base frame."""
+        for direction, length in itertools.product(directions, self.distances):
+            waypoints = line(self.robot, q, direction, length)
+            if waypoints is None:
+                continue
+            trajectory = fastest(through(waypoints), self.velocity, self.acceleration, LINE_GRID)
+            if self.accepted(setting, trajectory):
+                return trajectory
+        return None
+
+    def straight(self, setting: CollisionContext, start: FloatArray, goal: FloatArray) -> Trajectory | None:
+        """Return the straight motion in joint space between configurations (dof,), if it is proved."""
+        trajectory = rest_to_rest(start, goal, self.velocity, self.acceleration)
+        return trajectory if self.accepted(setting, trajectory) else None
+
+    def around(
+        self, setting: CollisionContext, start: FloatArray, goal: FloatArray, rng: np.random.Generator, iterations: int
+    ) -> Trajectory | None:
+        """Return a proved motion between configurations (dof,) that a sampling planner found, rounded if possible."""
+        limits = self.robot.lower, self.robot.upper
+        corners = polyline(setting, start, goal, limits, rng, iterations=iterations)
+        if corners is None:
+            return None
+        for spacing in ROUNDING:
+            trajectory = fastest(rounded(corners, spacing), self.velocity, self.acceleration, PATH_GRID)
+            if self.accepted(setting, trajectory):
+                return trajectory
+        legs = [rest_to_rest(a, b, self.velocity, self.acceleration) for a, b in itertools.pairwise(corners)]
+        trajectory = joined(legs)
+        return trajectory if self.accepted(setting, trajectory) else None
+
+    def accepted(self, setting: CollisionContext, trajectory: Trajectory) -> bool:
+        """Return whether `trajectory` stays within the joint limits and is proved free of collision."""
+        low, high = trajectory.position_range()
+        return self.robot.within_limits(low) and self.robot.within_limits(high) and prove(setting, trajectory).holds

@@ -1,0 +1,163 @@
+"""A plan's scene for other simulators: robot, gripper, surroundings and object as URDF, their places as JSON."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from regrasp_opt.conventions import FloatArray, invert
+from regrasp_opt.files import atomic_path
+from regrasp_opt.geometry.shapes import Box, Cylinder, Shape
+from regrasp_opt.planning import RegraspPlan
+from regrasp_opt.robots import Robot
+from regrasp_opt.robots.urdf import parse_xml
+
+logger = logging.getLogger(__name__)
+
+SCHEMA = 1
+
+DENSITY = 500.0
+"""Density of the object in its URDF [kg/m^3]: a stand-in, since nothing else here depends on masses."""
+
+
+def save_scene(plan: RegraspPlan, folder: str | os.PathLike[str]) -> None:
+    """Write the scene of `plan` into `folder`.
+
+    ``robot.urdf`` is the robot's own file with absolute mesh names, those of packages too; ``gripper.urdf`` has a
+    prismatic joint for each finger, whose position is half the opening; ``surroundings.urdf`` holds table and obstacles
+    in the world frame; ``object.urdf`` and ``object.stl`` are the object. ``scene.json`` says how they are put together
+    and where the object stands.
+    """
+    folder = Path(folder)
+    problem = plan.problem
+    cell, robot = problem.workcell, problem.workcell.robot
+    _write_xml(_robot(robot), folder / "robot.urdf")
+    _write_xml(_gripper(plan, folder), folder / "gripper.urdf")
+    fixed = [("table", cell.table.shape), *((s.name, s) for s in cell.obstacles)]
+    _write_xml(_surroundings(fixed, folder), folder / "surroundings.urdf")
+    _write_mesh(problem.object.vertices, problem.object.faces, folder / "object.stl")
+    _write_xml(_object(problem.object.mesh), folder / "object.urdf")
+    content = {
+        "schema": SCHEMA,
+        "joint_names": list(robot.joint_names),
+        "flange_link": robot.tip_frame,
+        "T_world_base": cell.T_world_base.tolist(),
+        "T_flange_gripper": np.eye(4).tolist(),
+        "T_gripper_tcp": cell.end_effector.T_flange_tcp.tolist(),
+        "home": robot.home.tolist(),
+        "object_poses": plan.poses.tolist(),
+        "object_in_hand": [
+            {"grasp_id": g, "T_tcp_object": invert(problem.grasps.T_object_tcp[g]).tolist()}
+            for g in sorted({int(g) for t in plan.transitions for g in t.grasp_ids})
+        ],
+    }
+    with atomic_path(folder / "scene.json") as temporary:
+        temporary.write_text(json.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _robot(robot: Robot) -> ET.Element:
+    """Return the robot's URDF with absolute mesh names, less visuals without their mesh and what xacro left behind."""
+    root = parse_xml(robot.urdf)
+    for parent in list(root.iter()):
+        for child in [child for child in parent if ":" in child.tag]:
+            parent.remove(child)
+    root.attrib.setdefault("name", robot.name)
+    for link in root.iterfind("link"):
+        for visual in link.findall("visual"):
+            lost = [m.get("filename", "") for m in visual.iter("mesh") if not os.path.isfile(m.get("filename", ""))]
+            if lost:
+                logger.warning("mesh '%s' of %s is not found; robot.urdf goes without it", lost[0], robot.urdf_path)
+                link.remove(visual)
+    return root
+
+
+def _gripper(plan: RegraspPlan, folder: Path) -> ET.Element:
+    effector = plan.problem.workcell.end_effector
+    root = ET.Element("robot", name=effector.name)
+    palm = ET.SubElement(root, "link", name="gripper")
+    for shape in effector.body:
+        _add_shape(palm, shape, folder)
+    for side, sign in (("left", 1.0), ("right", -1.0)) if effector.finger else ():
+        link = ET.SubElement(root, "link", name=f"{side}_finger")
+        shapes = effector.finger_boxes(0.0)
+        half = len(shapes) // 2
+        for shape in shapes[:half] if sign > 0 else shapes[half:]:
+            _add_shape(link, shape, folder)
+        joint = ET.SubElement(root, "joint", name=f"{side}_finger_joint", type="prismatic")
+        ET.SubElement(joint, "parent", link="gripper")
+        ET.SubElement(joint, "child", link=f"{side}_finger")
+        ET.SubElement(joint, "axis", xyz=f"0 {sign:g} 0")
+        limits = {"lower": "0", "upper": f"{effector.max_opening / 2:.9g}", "velocity": "0.1", "effort": "50"}
+        ET.SubElement(joint, "limit", limits)
+    return root
+
+
+def _surroundings(shapes: list[tuple[str, Shape]], folder: Path) -> ET.Element:
+    root = ET.Element("robot", name="surroundings")
+    ET.SubElement(root, "link", name="world")
+    for number, (name, shape) in enumerate(shapes):
+        link = ET.SubElement(root, "link", name=name)
+        _add_shape(link, shape, folder, f"surrounding-{number}.stl")
+        joint = ET.SubElement(root, "joint", name=f"world_to_{name}", type="fixed")
+        ET.SubElement(joint, "parent", link="world")
+        ET.SubElement(joint, "child", link=name)
+    return root
+
+
+def _object(mesh: trimesh.Trimesh) -> ET.Element:
+    root = ET.Element("robot", name="object")
+    link = ET.SubElement(root, "link", name="object")
+    inertia = mesh.moment_inertia * DENSITY
+    inertial = ET.SubElement(link, "inertial")
+    ET.SubElement(inertial, "origin", xyz=_numbers(mesh.center_mass), rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=f"{mesh.volume * DENSITY:.9g}")
+    cells = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+    ET.SubElement(inertial, "inertia", {name: f"{inertia[cell]:.9g}" for name, cell in cells.items()})
+    for tag in ("visual", "collision"):
+        ET.SubElement(ET.SubElement(ET.SubElement(link, tag), "geometry"), "mesh", filename="object.stl")
+    return root
+
+
+def _add_shape(link: ET.Element, shape: Shape, folder: Path, mesh_name: str = "") -> None:
+    for tag in ("visual", "collision"):
+        part = ET.SubElement(link, tag)
+        ET.SubElement(part, "origin", xyz=_numbers(shape.pose[:3, 3]), rpy=_numbers(_rpy(shape.pose[:3, :3])))
+        geometry = ET.SubElement(part, "geometry")
+        if isinstance(shape, Box):
+            ET.SubElement(geometry, "box", size=_numbers(shape.size))
+        elif isinstance(shape, Cylinder):
+            ET.SubElement(geometry, "cylinder", radius=f"{shape.radius:.9g}", length=f"{shape.length:.9g}")
+        else:
+            name = mesh_name or f"{shape.name}.stl"
+            _write_mesh(shape.vertices, shape.faces, folder / name)
+            ET.SubElement(geometry, "mesh", filename=name)
+
+
+def _rpy(R: FloatArray) -> FloatArray:
+    """Return URDF's roll, pitch and yaw (3,) [rad] of a rotation (3, 3)."""
+    pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
+    if np.hypot(R[0, 0], R[1, 0]) < 1e-9:  # straight up or down: yaw is free, so it is 0
+        return np.array([np.arctan2(-R[1, 2], R[1, 1]), pitch, 0.0])
+    return np.array([np.arctan2(R[2, 1], R[2, 2]), pitch, np.arctan2(R[1, 0], R[0, 0])])
+
+
+def _numbers(values: Any) -> str:
+    return " ".join(f"{value:.12g}" for value in values)
+
+
+def _write_mesh(vertices: FloatArray, faces: Any, path: Path) -> None:
+    with atomic_path(path) as temporary:
+        trimesh.Trimesh(vertices, faces, process=False).export(temporary)
+
+
+def _write_xml(root: ET.Element, path: Path) -> None:
+    ET.indent(root)
+    with atomic_path(path) as temporary:
+        ET.ElementTree(root).write(temporary, encoding="utf-8", xml_declaration=True)

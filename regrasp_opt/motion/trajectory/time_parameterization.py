@@ -1,0 +1,113 @@
+"""Paths and their fastest timing within velocity and acceleration limits.
+
+Along a path ``q(s)`` the square ``x = s'^2`` of the path speed makes both limits linear (Bobrow, Dubowsky and Gibson,
+1985; Verscheure et al., 2009): with ``x`` piecewise linear over a grid and ``u = dx/ds / 2``,
+
+    |dq/ds|^2 x <= v_max^2,        |d2q/ds2 x + dq/ds u| <= a_max.
+
+Raising ``x`` anywhere makes the motion faster, so the fastest motion is the largest ``x``: a linear program. The knots
+it gives are joined by cubics, and the whole is slowed by the little by which these exceed a limit.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from scipy.interpolate import BSpline, CubicSpline
+from scipy.optimize import linprog
+from scipy.sparse import coo_array
+
+from regrasp_opt.conventions import FloatArray
+from regrasp_opt.motion.trajectory.trajectory import Trajectory
+
+LINE_GRID = 24
+"""Intervals of the timing grid along a straight line of the tool."""
+
+PATH_GRID = 40
+"""Intervals of the timing grid along a path with corners."""
+
+
+def through(waypoints: FloatArray) -> CubicSpline:
+    """Return the smooth path over s in [0, 1] through `waypoints` (W, dof), which are evenly spaced along it."""
+    return CubicSpline(np.linspace(0.0, 1.0, len(waypoints)), waypoints)
+
+
+def rounded(corners: FloatArray, spacing: float) -> BSpline:
+    """Return a smooth path over s in [0, 1] along the polyline with `corners` (C, dof).
+
+    It is the cubic B-spline whose control points stand at most `spacing` apart on the polyline: it begins and ends
+    with it, follows its straight parts, and cuts a corner within `spacing` of it.
+    """
+    parts = [
+        np.linspace(a, b, max(2, int(np.ceil(np.linalg.norm(b - a) / spacing))), endpoint=False)
+        for a, b in itertools.pairwise(corners)
+    ]
+    control = np.concatenate([*parts, corners[-1:]])
+    if len(control) < 4:
+        control = np.linspace(corners[0], corners[-1], 4)
+    knots = np.concatenate([np.zeros(3), np.linspace(0.0, 1.0, len(control) - 2), np.ones(3)])
+    return BSpline(knots, control, 3)
+
+
+def rest_to_rest(start: FloatArray, end: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> Trajectory:
+    """Return the fastest straight motion between two configurations (dof,): speed up, cruise, slow down."""
+    change = end - start
+    size = np.abs(change)
+    cruise = float((velocity / np.maximum(size, 1e-12)).min())  # path speed and acceleration limits [1/s, 1/s^2]
+    rise = float((acceleration / np.maximum(size, 1e-12)).min())
+    ramp = min(cruise / rise, 1 / np.sqrt(rise))
+    speed = rise * ramp
+    middle = max(0.0, (1 - ramp * speed) / speed)
+    times = np.array([0.0, ramp, ramp + middle, 2 * ramp + middle])
+    part = np.array([0.0, ramp * speed / 2, 1 - ramp * speed / 2, 1.0])
+    keep = np.concatenate([[True], np.diff(times) > 1e-9 * times[-1]])
+    speeds = np.array([0.0, speed, speed, 0.0])[keep, None]
+    positions = start + part[keep, None] * change
+    positions[-1] = end
+    return Trajectory(times[keep], positions, speeds * change).within(velocity, acceleration)
+
+
+def fastest(path: BSpline | CubicSpline, velocity: FloatArray, acceleration: FloatArray, grid: int) -> Trajectory:
+    """Return the fastest motion from rest to rest along `path` over s in [0, 1], within limits (dof,).
+
+    It has `grid` + 1 knots, evenly spaced over s.
+    """
+    s = np.linspace(0.0, 1.0, grid + 1)
+    slope, bend = path(s, 1), path(s, 2)
+    x = _path_speeds(slope, bend, velocity, acceleration)
+    root = np.sqrt(x)
+    times = np.concatenate([[0.0], np.cumsum(2 / grid / (root[1:] + root[:-1]))])
+    return Trajectory(times, path(s), slope * root[:, None]).within(velocity, acceleration)
+
+
+def _path_speeds(slope: FloatArray, bend: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+    """Return the largest squared path speeds at the grid points, zero at both ends."""
+    count, dof = slope.shape
+    with np.errstate(divide="ignore"):
+        upper = ((velocity / np.abs(slope)) ** 2).min(axis=1)
+        upper = np.minimum(upper, (acceleration / np.abs(bend)).min(axis=1))
+    upper[[0, -1]] = 0.0
+    # Rows: at both ends of every interval and for each joint, bend x + slope (x_next - x_this) / (2 ds).
+    left, right = np.arange(count - 1), np.arange(1, count)
+    rate = (count - 1) / 2
+    scale = 1 / acceleration
+    rows, columns, values = [], [], []
+    for block, here in enumerate((left, right)):
+        row = (block * (count - 1) * dof + np.arange((count - 1) * dof)).reshape(count - 1, dof)
+        for column, weight in ((left, -rate), (right, rate)):
+            own = bend[here] if column is here else 0.0
+            rows.append(row)
+            columns.append(np.repeat(column[:, None], dof, axis=1))
+            values.append((slope[here] * weight + own) * scale)
+    size = 2 * (count - 1) * dof
+    index = np.concatenate([r.ravel() for r in rows]), np.concatenate([c.ravel() for c in columns])
+    half = coo_array((np.concatenate([v.ravel() for v in values]), index), shape=(size, count))
+    A = coo_array(
+        (np.concatenate([half.data, -half.data]), (np.concatenate([half.row, half.row + size]), np.tile(half.col, 2))),
+        shape=(2 * size, count),
+    )
+    top = float(np.max(upper[np.isfinite(upper)], initial=1.0))
+    bounds = np.column_stack([np.zeros(count), np.minimum(upper, top)])
+    solution = linprog(-np.ones(count), A_ub=A.tocsr(), b_ub=np.ones(2 * size), bounds=bounds, method="highs")
+    return np.maximum(solution.x, 0.0)

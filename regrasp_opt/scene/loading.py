@@ -1,0 +1,197 @@
+"""Workcells from TOML files: the built-in ones by name, any other by path."""
+
+from __future__ import annotations
+
+import logging
+import os
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+
+from regrasp_opt.conventions import FloatArray, rotation_rpy, translation
+from regrasp_opt.end_effectors import END_EFFECTOR_NAMES, EndEffector, load_end_effector
+from regrasp_opt.errors import HomeCollisionError, MeshError, UnknownNameError, WorkcellError
+from regrasp_opt.files import report_outside
+from regrasp_opt.geometry.mesh_files import LARGEST_MESH, read_triangles, unlikely_size
+from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh, Shape
+from regrasp_opt.geometry.solids import find_shells
+from regrasp_opt.robots import Robot, load_robot
+from regrasp_opt.scene.home import collision_at_home
+from regrasp_opt.scene.schema import ObstacleSection, RobotSection, Vector, WorkcellFile
+from regrasp_opt.scene.workcell import Clearance, Table, Workcell, WorkspaceBounds
+from regrasp_opt.schemas import read_toml
+
+logger = logging.getLogger(__name__)
+
+WORKCELL_NAMES = tuple(f"nova2-{name}" for name in END_EFFECTOR_NAMES)
+"""The built-in workcells: the Nova2 with each of the built-in end-effectors."""
+
+
+LARGEST_WORKSPACE = 10.0
+"""A workspace wider than this is taken to be in another unit [m]; its pose lattice would not fit into memory."""
+
+
+def load_workcell(
+    name_or_path: str | os.PathLike[str], *, end_effector: str | os.PathLike[str] | None = None
+) -> Workcell:
+    """Return a built-in workcell by name, or any other from the path of its TOML file.
+
+    Parameters
+    ----------
+    name_or_path : str or path
+        One of `WORKCELL_NAMES`, or a file. A string is a path when it ends in ``.toml`` or has a folder in
+        it. Paths within the file are relative to its folder.
+    end_effector : str or path, optional
+        End-effector to use in place of the file's, by name or by path.
+
+    Raises
+    ------
+    UnknownNameError
+        If a workcell, robot or end-effector is asked for by a name that is not built in.
+    WorkcellError
+        If the file cannot be read, or holds a wrong key, value or geometry; the message names the file, the
+        key and what is allowed.
+    """
+    if isinstance(name_or_path, str) and name_or_path in WORKCELL_NAMES:
+        path = Path(str(files("regrasp_opt"))) / "data" / "workcells" / f"{name_or_path}.toml"
+        return _build(_parse(path), path, "built-in", end_effector)
+    path = Path(name_or_path)
+    if isinstance(name_or_path, str) and path.suffix.lower() != ".toml" and path.name == name_or_path:
+        raise UnknownNameError("workcell", name_or_path, WORKCELL_NAMES)
+    return _build(_parse(path), path, str(path), end_effector)
+
+
+def _parse(path: Path) -> WorkcellFile:
+    try:
+        text = path.read_text("utf-8")
+    except (OSError, ValueError) as error:
+        raise WorkcellError(f"workcell file {path} cannot be read; give the path of a TOML file") from error
+    return read_toml(text, WorkcellFile, str(path))
+
+
+def _build(content: WorkcellFile, path: Path, source: str, override: str | os.PathLike[str] | None) -> Workcell:
+    table, workspace, margins = content.table, content.workspace, content.clearance
+    report_outside(path, _named_files(content, path, override))
+    workcell = Workcell(
+        name=content.name or path.stem,
+        robot=_robot(content.robot, path),
+        T_world_base=_pose(content.robot.position, content.robot.rpy),
+        end_effector=_end_effector(content, path) if override is None else load_end_effector(override),
+        table=Table(table.height, np.array(table.center), np.array(table.size), table.thickness),
+        obstacles=tuple(_obstacle(section, path) for section in content.obstacles),
+        bounds=WorkspaceBounds(workspace.x, workspace.y),
+        clearance=Clearance(margins.arm, margins.gripper, margins.self_collision),
+        source=source,
+        end_effector_override=_override(override),
+    )
+    _check(workcell, path)
+    return workcell
+
+
+def _named_files(content: WorkcellFile, path: Path, override: str | os.PathLike[str] | None) -> list[Path]:
+    """Return the files and folders that the file at `path` has read; built-in names are none."""
+    models = [content.robot.model, *([content.end_effector.model] if override is None else [])]
+    named = [file for file in (_relative(name, path.parent) for name in models) if isinstance(file, Path)]
+    named += [path.parent / name for name in content.robot.package_dirs]
+    return named + [path.parent / section.file for section in content.obstacles if section.file is not None]
+
+
+def _override(end_effector: str | os.PathLike[str] | None) -> str | None:
+    """Return what loads the same end-effector from any folder."""
+    if end_effector is None or str(end_effector) in END_EFFECTOR_NAMES:
+        return None if end_effector is None else str(end_effector)
+    return str(Path(end_effector).resolve())
+
+
+def _check(workcell: Workcell, path: Path) -> None:
+    """Raise a WorkcellError where the parts do not fit each other."""
+    bounds, table = workcell.bounds, workcell.table
+    for axis, (low, high), middle, size in zip("xy", (bounds.x, bounds.y), table.center, table.size, strict=True):
+        if high - low > LARGEST_WORKSPACE:
+            raise WorkcellError(
+                f"{path}: key 'workspace.{axis}': {low:g} to {high:g} is wider than {LARGEST_WORKSPACE:g} m; give "
+                "metres, and no more than the arm can reach"
+            )
+        if low < middle - size / 2 - 1e-9 or high > middle + size / 2 + 1e-9:
+            raise WorkcellError(
+                f"{path}: key 'workspace.{axis}': {low:g} to {high:g} leaves the table, which ends at "
+                f"{middle - size / 2:g} and {middle + size / 2:g}; keep it within"
+            )
+    names = [shape.name for shape in workcell.obstacles]
+    twice = next((name for name in names if names.count(name) > 1 or name == "table"), None)
+    if twice is not None:
+        raise WorkcellError(f"{path}: key 'obstacles': the name '{twice}' is taken; give each obstacle its own")
+    hit = collision_at_home(workcell)
+    if hit is not None:
+        raise HomeCollisionError(
+            f"{path}: '{hit[0]}' collides with '{hit[1]}', or is nearer than its clearance, while the robot is at "
+            "home; choose another 'robot.home', or add the pair to 'robot.ignore_collisions' if both are links made "
+            "to touch",
+            workcell,
+        )
+
+
+def _robot(section: RobotSection, path: Path) -> Robot:
+    try:
+        return load_robot(
+            _relative(section.model, path.parent),
+            tip=section.tip,
+            package_dirs=[path.parent / name for name in section.package_dirs],
+            home=section.home,
+            ignore_collisions=section.ignore_collisions,
+        )
+    except UnknownNameError as error:
+        raise WorkcellError(f"{path}: key 'robot.model': {error}, or the path of a URDF file") from error
+    except WorkcellError as error:
+        raise WorkcellError(f"{path}: section 'robot': {error}") from error
+
+
+def _end_effector(content: WorkcellFile, path: Path) -> EndEffector:
+    try:
+        return load_end_effector(_relative(content.end_effector.model, path.parent))
+    except UnknownNameError as error:
+        raise WorkcellError(f"{path}: key 'end_effector.model': {error}, or the path of a file") from error
+    except WorkcellError as error:
+        raise WorkcellError(f"{path}: section 'end_effector': {error}") from error
+
+
+def _relative(name: str, folder: Path) -> str | Path:
+    """Return `name` itself where it is a bare one, else the path that it means in a file of `folder`."""
+    return name if Path(name).name == name and not Path(name).suffix else folder / name
+
+
+def _pose(position: Vector, rpy: Vector) -> FloatArray:
+    T = translation(*position)
+    T[:3, :3] = rotation_rpy(*rpy)
+    return T
+
+
+def _obstacle(section: ObstacleSection, path: Path) -> Shape:
+    pose = _pose(section.position, section.rpy)
+    if section.size is not None:
+        return Box(section.name, np.array(section.size), pose)
+    if section.radius is not None and section.length is not None:
+        return Cylinder(section.name, section.radius, section.length, pose)
+    return _mesh(section, path, pose)
+
+
+def _mesh(section: ObstacleSection, path: Path, pose: FloatArray) -> Mesh:
+    file = path.parent / str(section.file)
+    where = f"{path}: mesh '{file}' of obstacle '{section.name}'"
+    if not os.path.isfile(file):
+        raise WorkcellError(f"{where} is not there; give a path relative to the workcell file")
+    try:
+        vertices, faces = read_triangles(file)
+    except MeshError as error:
+        raise WorkcellError(f"{where} cannot be read: {error}") from error
+    scale = section.scale or 1.0
+    vertices = vertices * scale
+    wrong = unlikely_size(vertices[np.unique(faces)], LARGEST_MESH)
+    if wrong is not None:
+        raise WorkcellError(f"{where} {wrong[0]}; write scale = {scale * wrong[1]:g}")
+    if find_shells(vertices, faces).open_parts:
+        logger.warning(
+            "%s is not closed: its surface is tested, but not what is inside; close it if it is solid", where
+        )
+    return Mesh(section.name, vertices, faces, pose)

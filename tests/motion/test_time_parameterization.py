@@ -1,0 +1,78 @@
+"""Timing: limits are reached and kept, and paths go where they should."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from regrasp_opt.motion.trajectory.time_parameterization import fastest, rest_to_rest, rounded, through
+
+LIMITS = np.array([1.0, 2.0]), np.array([4.0, 3.0])
+
+
+@pytest.mark.parametrize("change", [[0.05, 0.01], [2.0, 0.5], [0.0, -3.0]])
+def test_a_straight_motion_takes_the_time_of_its_slowest_joint(change):
+    change = np.array(change)
+    path = rest_to_rest(np.zeros(2), change, *LIMITS)
+    times = []
+    for size, v, a in zip(np.abs(change), *LIMITS, strict=True):
+        times.append(2 * np.sqrt(size / a) if size < v**2 / a else size / v + v / a)
+    # the joints move in step, so the tightest speed and the tightest acceleration may be those of two joints
+    assert max(times) - 1e-9 <= path.duration <= 1.3 * max(times)
+    assert np.array_equal(path.positions[[0, -1]], [np.zeros(2), change])
+    assert not path.velocities[[0, -1]].any()
+    assert (path.peak_velocity() <= LIMITS[0] * (1 + 1e-9)).all()
+    assert (path.peak_acceleration() <= LIMITS[1] * (1 + 1e-9)).all()
+    t = np.linspace(0, path.duration, 50)
+    assert np.allclose(path.at(t) @ np.array([-change[1], change[0]]), 0.0, atol=1e-12)
+
+
+def test_no_motion_takes_no_time_worth_speaking_of():
+    assert rest_to_rest(np.ones(2), np.ones(2), *LIMITS).duration < 1e-4
+
+
+def test_the_linear_program_finds_the_fastest_timing_of_a_straight_path():
+    change = np.array([1.5, 0.7])
+    best = rest_to_rest(np.zeros(2), change, *LIMITS)
+    path = fastest(through(np.linspace(0.0, 1.0, 9)[:, None] * change), *LIMITS, 60)
+    assert best.duration - 1e-6 <= path.duration < 1.02 * best.duration
+
+
+def test_a_curved_path_keeps_the_limits_and_uses_one_of_them_nearly_all_the_time():
+    angle = np.linspace(0, np.pi, 30)
+    curve = through(np.column_stack([np.cos(angle), np.sin(angle)]))
+    path = fastest(curve, *LIMITS, 60)
+    assert (path.peak_velocity() <= LIMITS[0] * (1 + 1e-9)).all()
+    assert (path.peak_acceleration() <= LIMITS[1] * (1 + 1e-9)).all()
+    t = np.linspace(0, path.duration, 400)
+    q, v = path.at(t), path.velocity_at(t)
+    assert np.abs(np.linalg.norm(q, axis=1) - 1).max() < 1e-4
+    share_v = (np.abs(v) / LIMITS[0]).max(axis=1)
+    share_a = (np.abs(np.gradient(v, t, axis=0)) / LIMITS[1]).max(axis=1)
+    assert np.mean(np.maximum(share_v, share_a) > 0.9) > 0.9
+
+
+def test_a_path_through_waypoints_meets_them():
+    points = np.random.default_rng(0).normal(size=(7, 3))
+    assert np.allclose(through(points)(np.linspace(0, 1, 7)), points)
+
+
+@pytest.mark.parametrize("spacing", [0.5, 0.1])
+def test_a_rounded_polyline_begins_and_ends_with_it_and_stays_near(spacing):
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [2.0, 1.0]])
+    path = rounded(corners, spacing)
+    points = path(np.linspace(0, 1, 500))
+    assert np.allclose(points[[0, -1]], corners[[0, -1]])
+    distance = np.full(len(points), np.inf)
+    for a, b in itertools.pairwise(corners):
+        part = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
+        distance = np.minimum(distance, np.linalg.norm(points - a - part[:, None] * (b - a), axis=1))
+    assert 0 < distance.max() < spacing
+    jumps = np.diff(path(np.linspace(0, 1, 2001), 1), axis=0)
+    assert np.abs(jumps).max() < 0.1 / spacing
+
+
+def test_two_corners_give_a_straight_path():
+    path = rounded(np.array([[0.0, 0.0], [1.0, 2.0]]), 10.0)
+    points = path(np.linspace(0, 1, 50))
+    assert np.allclose(points[:, 1], 2 * points[:, 0])
