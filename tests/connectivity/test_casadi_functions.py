@@ -245,6 +245,20 @@ def test_blocked_grasps_have_a_fixed_energy(make_problem_energy, over):
         np.testing.assert_allclose(np.array(a), np.array(b), atol=1e-10)
 
 
+def test_a_mask_and_blocked_grasps_leave_out_what_either_does(make_problem_energy):
+    energy, ends, xi = make_problem_energy()
+    rng = np.random.default_rng(8)
+    mask, blocked = rng.random(12) < 0.6, rng.random((2, 12)) < 0.4
+    middle = np.where(blocked, BLOCKED, energy(planar_transform(xi) @ energy.placements[PLACEMENTS]))
+    chain = np.concatenate([ends[None, :, 0], middle, ends[None, :, 1]])
+    arguments = {"placements": PLACEMENTS, "start": ends[:, 0], "goal": ends[:, 1], "blocked": blocked}
+    functions = energy.casadi_functions(**arguments, mask=mask)
+    assert float(functions.J_seq(xi)) == pytest.approx(sequence_cost(chain[:, mask], CostOptions()), abs=1e-10)
+    given = energy.casadi_functions(**arguments, mask="input")
+    expected = sequence_cost(chain + BLOCKED * ~mask * [[1], [0], [1], [0]], CostOptions())  # once for each pair
+    assert float(given.J_seq(xi, mask)) == pytest.approx(expected, abs=1e-10)
+
+
 @pytest.mark.parametrize("blas", ["classic", "reference"])
 def test_functions_are_saved_loaded_and_mapped_with_their_derivatives(make_problem_energy, tmp_path, blas):
     energy, ends, xi = make_problem_energy()

@@ -159,6 +159,7 @@ def test_files_that_are_no_robot_are_refused(tmp_path, write, capfd):
     assert "not valid XML: " in refusal(write("<robot name='a'><link"))
     assert "no <robot>" in refusal(write("<mujoco/>"))
     assert "'gone'" in refusal(write(arm_urdf([JOINT]).replace("parent link='link0'", "parent link='gone'")))
+    assert "names the link ''" in refusal(write(arm_urdf([JOINT]).replace("<parent link='link0'/>", "")))
     assert "2 links have no parent" in refusal(write(arm_urdf([JOINT], extra="<link name='loose'/>")))
     bad_number = arm_urdf([JOINT]).replace("xyz='0 0 0.3'", "xyz='0 zero 0.3'")
     assert "Pinocchio" in refusal(write(bad_number))
