@@ -11,6 +11,7 @@ solutions hold the arm's own configurations (`IkTest`).
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import copy
 
 import numpy as np
 from eaik.IK_HP import HPRobot
@@ -88,6 +89,12 @@ class AnalyticIk:
             return verify(self._chain, T, found, self._lower, self._upper)
         touching = np.concatenate([solution.is_LS for solution in solutions if len(solution.Q)]).astype(bool)
         return self._polish(T, found, touching)
+
+    def without_limits(self) -> AnalyticIk:
+        """Return the solver of the same arm with joints that turn all the way round."""
+        free = copy(self)
+        free._lower, free._upper = np.full(6, -np.pi), np.full(6, np.pi)
+        return free
 
     def _polish(self, T: FloatArray, near: IkSolutions, touching: BoolArray) -> IkSolutions:
         """Return the solutions next to those of an arm that differs a little, some of them twice.

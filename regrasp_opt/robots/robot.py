@@ -17,9 +17,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from regrasp_opt.conventions import JOINT_LIMIT_TOLERANCE, FloatArray
+from regrasp_opt.conventions import JOINT_LIMIT_TOLERANCE, BoolArray, FloatArray
 from regrasp_opt.files import content_hash
 from regrasp_opt.geometry.solids import Containment
+from regrasp_opt.robots.analytic import AnalyticIk
 from regrasp_opt.robots.ik import IkSolutions, InverseKinematics
 from regrasp_opt.robots.kinematics import SerialChain
 from regrasp_opt.robots.queries import settle_queries
@@ -116,6 +117,13 @@ class Robot:
         starts reach. Every one reproduces its pose to `FK_POSITION_TOLERANCE` and `FK_ROTATION_TOLERANCE`.
         """
         return self.ik.solve(np.asarray(T_base_tip, dtype=np.float64).reshape(-1, 4, 4))
+
+    def reaches(self, T_base_tip: FloatArray) -> BoolArray:
+        """Return which poses (B, 4, 4) the tip could reach but for the limits; with a numerical solver, all."""
+        reached = np.full(len(T_base_tip), not isinstance(self.ik, AnalyticIk))
+        if isinstance(self.ik, AnalyticIk):
+            reached[self.ik.without_limits().solve(T_base_tip).pose_index] = True
+        return reached
 
     def equivalents(self, q: ArrayLike) -> list[FloatArray]:
         """Return for each joint its values (K,) within limits that differ from that of `q` (dof,) by whole turns."""

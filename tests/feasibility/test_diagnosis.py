@@ -61,6 +61,17 @@ def test_reach_and_table(bottle_problem):
     assert len(found) > 5 and found.count(Reason(Cause.GRIPPER_IN_TABLE)) > 0.8 * len(found)
 
 
+def test_limits_are_told_from_reach(bottle_problem):
+    robot = bottle_problem.workcell.robot
+    q = np.random.default_rng(0).uniform(-np.pi, np.pi, (300, 6))
+    q[:, 1] = np.random.default_rng(1).uniform(2.7, np.pi, 300)  # beyond its limit, and not all have another branch
+    T = robot.forward(q)
+    assert robot.reaches(T).all()
+    assert 0 < len(set(robot.solve_ik(T).pose_index)) < 300
+    T[:, :3, 3] *= (robot.max_reach + 0.01) / np.linalg.norm(T[:, :3, 3], axis=1)[:, None]
+    assert not robot.reaches(T).any()
+
+
 def test_obstacles_are_named_with_what_hits_them(bottle_problem):
     T = bottle_problem.pose(4, 0.25, 0.35)
     roof = Box("roof", np.array([0.3, 0.3, 0.01]), translation(0.25, 0.35, 0.23))
