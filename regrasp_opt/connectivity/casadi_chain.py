@@ -67,10 +67,10 @@ class Chain:
         self.scores = [pair_score(a, b, options) for a, b in pairs]
         self.cost = cost_of_scores(self.scores, self.lambda_reg)
         self.weights = [softmin_weights(a, b, options.alpha) for a, b in pairs]  # w_i
-        self.slopes = []  # c_i = dJ/dQ_i
+        self.sensitivities = []  # c_i = dJ/dQ_i
         for i, score in enumerate(self.scores):
             near = [self.scores[j] for j in (i - 1, i + 1) if 0 <= j < len(self.scores)]
-            self.slopes.append(sum((2 * self.lambda_reg * (score - other) for other in near), start=ca.MX(1)))
+            self.sensitivities.append(sum((2 * self.lambda_reg * (score - other) for other in near), start=ca.MX(1)))
 
     def gradient(self) -> Any:
         """Return the gradient (n, 1) of ``J_seq`` by one sweep back a pose; needs no tangents."""
@@ -81,7 +81,7 @@ class Chain:
         second = [pose.second(self._omega(i)) for i, pose in enumerate(self.poses)]
         tangents = [tangent for tangent, _ in second]
         total = ca.diagcat(*[curvature for _, curvature in second])
-        for i, c in enumerate(self.slopes):
+        for i, c in enumerate(self.sensitivities):
             total = total - c * self._spread(tangents, i)
         for a, b in itertools.pairwise(self._score_gradients(tangents)):
             total = total + 2 * self.lambda_reg * (a - b) @ (a - b).T
@@ -107,7 +107,7 @@ class Chain:
 
     def _omega(self, i: int) -> Any:
         """Return dJ/dE (G, 1) at pose i."""
-        near = [self.slopes[j] * self.weights[j] for j in (i - 1, i) if 0 <= j < len(self.weights)]
+        near = [self.sensitivities[j] * self.weights[j] for j in (i - 1, i) if 0 <= j < len(self.weights)]
         return sum(near, start=ca.MX(self.poses[i].energy.shape[0], 1))
 
     def _tangents(self) -> list[Any]:

@@ -128,8 +128,8 @@ class ConnectivityFunctions:
         value = ca.vertcat(*scores) if scores else ca.MX(0, 1)
         if self._options.variant == "Jh":
             return self._plain("Q_pair", "Q", value)
-        own, slopes, hessians = self._places, self._full.score_jacobian(), self._full.score_hessians()
-        jacobian = {name: slopes[:, place] for name, place in own.items()}
+        own, rows, hessians = self._places, self._full.score_jacobian(), self._full.score_hessians()
+        jacobian = {name: rows[:, place] for name, place in own.items()}
         second = {(a, b): _interleaved([h[own[a], own[b]] for h in hessians]) for a in own for b in own}
         return self._rows_first(by_jacobian("Q_pair", self._inputs, "Q", value, jacobian, second))
 

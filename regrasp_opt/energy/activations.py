@@ -50,9 +50,9 @@ def casadi_activation(name: Activation, z: Any) -> Derivatives:
     if name == "silu":
         s = 1 / (1 + ca.exp(-z))
         value = z * s
-        slope = s * (1 - s)
-        first = s + z * slope
-        return Derivatives(value, first, slope * (2 + z * (1 - 2 * s)))
+        sigmoid_first = s * (1 - s)
+        first = s + z * sigmoid_first
+        return Derivatives(value, first, sigmoid_first * (2 + z * (1 - 2 * s)))
     scaled = _SELU_SCALE * _SELU_ALPHA * ca.exp(ca.fmin(z, 0))
     positive = z > 0
     return Derivatives(

@@ -26,20 +26,20 @@ Blas = Literal["classic", "reference"]
 
 
 class _Layer(NamedTuple):
-    slope: Any  # first derivative of the activation (H, G)
-    curve: Any  # second derivative of the activation (H, G)
+    first: Any  # derivative of the activation (H, G)
+    second: Any  # second derivative of the activation (H, G)
     tangents: list[Any]  # of the pre-activation in the pose's parameters, k of (H, G), or none
 
 
 class Bottom(NamedTuple):
     """The first layer at a pose: pre-activation (H, G), its k tangents (H, G), and its second derivative.
 
-    ``bend`` (H, G) is the second derivative in the last parameter, or None; in all others the layer is affine.
+    ``second`` (H, G) is the second derivative in the last parameter, or None; in all others the layer is affine.
     """
 
     value: Any
     tangents: list[Any]
-    bend: Any
+    second: Any
 
 
 class Pass(NamedTuple):
@@ -51,11 +51,11 @@ class Pass(NamedTuple):
 
     energy: Any
     tangent: Any
-    slope: Any
-    curve: Any
+    first: Any
+    second: Any
     output_tangent: Any
     bottom: Bottom
-    tape: list[_Layer]
+    layers: list[_Layer]
 
 
 class CasadiEnergy:
@@ -148,7 +148,7 @@ class CasadiEnergy:
         return ca.fmax(f, 0) + ca.log1p(ca.exp(-ca.fabs(f)))
 
     def _output(self, f: Any) -> tuple[Any, Any, Any]:
-        """Return energy, slope and curvature of the energy in the network's output `f` (G, 1)."""
+        """Return the energy and its first and second derivative in the network's output `f` (G, 1)."""
         if not self.model.bounded:
             return f, ca.MX.ones(self.count, 1), ca.MX.zeros(self.count, 1)
         s = 1 / (1 + ca.exp(-f))
@@ -157,37 +157,37 @@ class CasadiEnergy:
     def forward(self, bottom: Bottom, *, tangents: bool) -> Pass:
         """Evaluate the energies at the pose of `bottom`, with their gradients if `tangents`."""
         z, moving = bottom.value, bottom.tangents if tangents else []
-        tape = []
+        layers = []
         for W, b in zip(self._weights, self._biases, strict=True):
             a = casadi_activation(self.model.activation, z)
-            tape.append(_Layer(a.first, a.second, moving))
+            layers.append(_Layer(a.first, a.second, moving))
             stacked = self.product(W, ca.horzcat(a.value, *[a.first * t for t in moving]))
             z, *moving = ca.horzsplit(stacked, self.count)
             z = z + ca.repmat(b, 1, self.count)
-        energy, slope, curve = self._output(z.T)
+        energy, first, second = self._output(z.T)
         df = ca.horzcat(*[t.T for t in moving]) if tangents else None
-        tangent = ca.repmat(slope, 1, len(moving)) * df if tangents else None
-        return Pass(energy, tangent, slope, curve, df, bottom, tape)
+        tangent = ca.repmat(first, 1, len(moving)) * df if tangents else None
+        return Pass(energy, tangent, first, second, df, bottom, layers)
 
     def gradient(self, passed: Pass, weights: Any) -> Any:
         """Return ``sum_g weights_g dE_g`` (k, 1) by one sweep back; needs no tangents."""
-        adjoint = (weights * passed.slope).T
-        for W, layer in zip(reversed(self._weights), reversed(passed.tape), strict=True):
-            adjoint = self.product(W.T, adjoint) * layer.slope
+        adjoint = (weights * passed.first).T
+        for W, layer in zip(reversed(self._weights), reversed(passed.layers), strict=True):
+            adjoint = self.product(W.T, adjoint) * layer.first
         return ca.vertcat(*[ca.dot(adjoint, t) for t in passed.bottom.tangents])
 
     def curvature(self, passed: Pass, weights: Any) -> Any:
         """Return ``sum_g weights_g d2E_g`` (k, k) at fixed `weights` (G, 1), by one sweep back."""
         df = passed.output_tangent
         count = df.shape[1]
-        total = self.product(df.T, ca.repmat(weights * passed.curve, 1, count) * df)
-        adjoint = (weights * passed.slope).T
-        for W, layer in zip(reversed(self._weights), reversed(passed.tape), strict=True):
+        total = self.product(df.T, ca.repmat(weights * passed.second, 1, count) * df)
+        adjoint = (weights * passed.first).T
+        for W, layer in zip(reversed(self._weights), reversed(passed.layers), strict=True):
             adjoint = self.product(W.T, adjoint)
-            bent = adjoint * layer.curve
+            second = adjoint * layer.second
             columns = [ca.vec(t) for t in layer.tangents]
-            pushed = ca.horzcat(*[ca.vec(bent * t) for t in layer.tangents])
+            pushed = ca.horzcat(*[ca.vec(second * t) for t in layer.tangents])
             total = total + self.product(ca.horzcat(*columns).T, pushed)
-            adjoint = adjoint * layer.slope
-        bend = passed.bottom.bend
-        return total if bend is None else total + ca.diagcat(ca.MX(count - 1, count - 1), ca.dot(adjoint, bend))
+            adjoint = adjoint * layer.first
+        own = passed.bottom.second
+        return total if own is None else total + ca.diagcat(ca.MX(count - 1, count - 1), ca.dot(adjoint, own))

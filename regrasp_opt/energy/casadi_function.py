@@ -43,19 +43,19 @@ def by_jacobian(
     """
     rows, empty = _jacobian_blocks(inputs, output, value, jacobian), _no_numbers(value)
     columns = {**inputs, f"out_{output}": empty}
-    bent = {
+    blocks = {
         f"jac_{row}_{column}": second.get((first, column), ca.MX(block.numel(), symbol.numel()))
         for (row, block), first in zip(rows.items(), inputs, strict=True)
         for column, symbol in columns.items()
     }
     symbols = [*columns.values()]
     unused = {f"out_{row}": _no_numbers(block) for row, block in rows.items()}
-    curvature = ca.Function(
-        f"jac_jac_{name}", [*symbols, *unused.values()], [*bent.values()], [*columns, *unused], [*bent], _CALLED
+    second_derivative = ca.Function(
+        f"jac_jac_{name}", [*symbols, *unused.values()], [*blocks.values()], [*columns, *unused], [*blocks], _CALLED
     )
-    options = {**_ONLY_JACOBIAN, "custom_jacobian": curvature}
-    slope = ca.Function(f"jac_{name}", symbols, [*rows.values()], [*columns], [*rows], options)
-    return _function(name, inputs, output, value, jacobian, {**_ONLY_JACOBIAN, "custom_jacobian": slope})
+    options = {**_ONLY_JACOBIAN, "custom_jacobian": second_derivative}
+    derivative = ca.Function(f"jac_{name}", symbols, [*rows.values()], [*columns], [*rows], options)
+    return _function(name, inputs, output, value, jacobian, {**_ONLY_JACOBIAN, "custom_jacobian": derivative})
 
 
 def by_adjoint(
@@ -77,23 +77,27 @@ def by_adjoint(
     empty, seeded = _no_numbers(value), f"adj_{output}"
     symbols, names = [*inputs.values(), empty], [*inputs, f"out_{output}"]
     rows = _jacobian_blocks(inputs, output, value, jacobian)
-    slope = ca.Function(f"jac_{name}", symbols, [*rows.values()], names, [*rows], _CALLED)
+    derivative = ca.Function(f"jac_{name}", symbols, [*rows.values()], names, [*rows], _CALLED)
 
     sides = {f"adj_{key}": adjoint.get(key, ca.MX(*symbol.shape)) for key, symbol in inputs.items()}
-    bent = {}
+    blocks = {}
     for (side, expression), first in zip(sides.items(), inputs, strict=True):
         for column, symbol in zip([*names, seeded], [*symbols, seed], strict=True):
             block = second.get(first) if column == first else None
             if column == seeded and first in jacobian:
                 block = jacobian[first].T
-            bent[f"jac_{side}_{column}"] = ca.MX(expression.numel(), symbol.numel()) if block is None else block
+            blocks[f"jac_{side}_{column}"] = ca.MX(expression.numel(), symbol.numel()) if block is None else block
     unused = {f"out_{side}": _no_numbers(expression) for side, expression in sides.items()}
-    arguments = [*symbols, seed, *unused.values()], [*bent.values()], [*names, seeded, *unused], [*bent]
-    curvature = ca.Function(f"jac_adj1_{name}", *arguments, _CALLED)
-    options = {**_ONLY_JACOBIAN, "custom_jacobian": curvature}
+    arguments = [*symbols, seed, *unused.values()], [*blocks.values()], [*names, seeded, *unused], [*blocks]
+    second_derivative = ca.Function(f"jac_adj1_{name}", *arguments, _CALLED)
+    options = {**_ONLY_JACOBIAN, "custom_jacobian": second_derivative}
     back = ca.Function(f"adj1_{name}", [*symbols, seed], [*sides.values()], [*names, seeded], [*sides], options)
     # One direction back goes through the adjoint; more of them at once, and all forward ones, through the Jacobian.
-    both = {"custom_jacobian": slope, "cache": {f"adj1_{name}": back}, "jac_penalty": 1.5 / max(value.numel(), 1)}
+    both = {
+        "custom_jacobian": derivative,
+        "cache": {f"adj1_{name}": back},
+        "jac_penalty": 1.5 / max(value.numel(), 1),
+    }
     return _function(name, inputs, output, value, jacobian, {**_CALLED, "enable_forward": False, **both})
 
 

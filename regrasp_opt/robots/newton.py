@@ -92,12 +92,12 @@ def _descend(
         if not going.all():
             live, goal, q, damping = live[going], goal[..., going], q[:, going], damping[going]
             error, J, size = error[:, going], J[..., going], size[going]
-        slope, free = _gradient(J, error), J
+        gradient, free = _gradient(J, error), J
         if limits is not None:  # a joint that is at its limit and would leave stays
             low, high = limits[0][:, None], limits[1][:, None]
-            may_move = ~(((q <= low) & (slope < 0)) | ((q >= high) & (slope > 0)))
-            slope, free = slope * may_move, J * may_move
-        trial = q + _capped(_solve(_factors(free, damping * size**2 + LEAST_DAMPING), slope))
+            may_move = ~(((q <= low) & (gradient < 0)) | ((q >= high) & (gradient > 0)))
+            gradient, free = gradient * may_move, J * may_move
+        trial = q + _capped(_solve(_factors(free, damping * size**2 + LEAST_DAMPING), gradient))
         if limits is not None:
             trial = np.clip(trial, low, high)
         new_error, new_J = _error(chain, goal, trial)

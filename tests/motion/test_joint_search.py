@@ -23,15 +23,15 @@ def search(bottle_plan):
 
 def test_the_plans_own_choice_is_proved(search, bottle_plan):
     found = search._candidate(bottle_plan.xi, first_choice(bottle_plan))
-    assert found is not None and search.trouble == "" and found.measures.clearance > 0
+    assert found is not None and search.problem_found == "" and found.measures.clearance > 0
 
 
 def test_poses_that_cannot_be_are_named(search, bottle_plan):
     choice = first_choice(bottle_plan)
     assert search._candidate(bottle_plan.xi + 5.0, choice) is None
-    assert search.trouble == "a pose lies outside the workspace"
+    assert search.problem_found == "a pose lies outside the workspace"
     assert search._candidate(IN_THE_BASE[None], choice) is None
-    assert search.trouble == "pose 1: the object is too near to an obstacle, the base or the table's edge"
+    assert search.problem_found == "pose 1: the object is too near to an obstacle, the base or the table's edge"
 
 
 def test_configurations_that_cannot_be_are_named(search, bottle_plan):
@@ -40,11 +40,11 @@ def test_configurations_that_cannot_be_are_named(search, bottle_plan):
     q = choice.q.copy()
     q[0, 1] = robot.upper + 0.25 * np.eye(6)[2]
     assert search._candidate(bottle_plan.xi, replace(choice, q=q)) is None
-    assert search.trouble == "transition 0, place: a joint is 0.25 rad beyond its limit"
+    assert search.problem_found == "transition 0, place: a joint is 0.25 rad beyond its limit"
     q = choice.q.copy()
     q[1, 0] = [0.0, 2.0, 0.5, 0.0, 0.0, 0.0]  # through the table
     assert search._candidate(bottle_plan.xi, replace(choice, q=q)) is None
-    assert search.trouble == "transition 1, pick: bodies are nearer than their clearance"
+    assert search.problem_found == "transition 1, pick: bodies are nearer than their clearance"
 
 
 def test_a_configuration_that_cannot_be_put_on_its_grasp_leaves_the_poses_and_is_named(bottle_plan, monkeypatch):

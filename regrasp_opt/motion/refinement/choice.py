@@ -41,8 +41,8 @@ def states_at(checker: FeasibilityChecker, T: FloatArray, grasp_ids: IntArray) -
     ids = np.repeat(grasp_ids, [len(q) for q in branches])
     q = np.concatenate([np.zeros((0, robot.dof)), *branches])
     clearance = [checker.clearance(T, int(g), x) for g, x in zip(ids, q, strict=True)]
-    skill = manipulability(robot, q) if len(q) else np.zeros(0)
-    return States(ids.astype(np.int64), q, np.array(clearance, dtype=np.float64), skill)
+    manipulable = manipulability(robot, q) if len(q) else np.zeros(0)
+    return States(ids.astype(np.int64), q, np.array(clearance, dtype=np.float64), manipulable)
 
 
 def best_choices(

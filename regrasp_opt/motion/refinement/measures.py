@@ -126,8 +126,8 @@ def measure_choice(
     """Return the measures of `choice` at `poses` (N+2, 4, 4), whose ``J_seq`` is `cost`; `home` as of `travel`."""
     least = clearances(problem, poses, choice).min()
     q = choice.q.reshape(-1, problem.workcell.robot.dof)
-    skill = manipulability(problem.workcell.robot, q).min()
-    return JointMeasures(travel(q, home), float(least), float(skill), float(cost))
+    least_manipulability = manipulability(problem.workcell.robot, q).min()
+    return JointMeasures(travel(q, home), float(least), float(least_manipulability), float(cost))
 
 
 def clearances(problem: RegraspProblem, poses: FloatArray, choice: JointChoice) -> FloatArray:

@@ -89,7 +89,7 @@ class JointSearch:
     ----------
     discrete : JointMeasures or None
         Of the best choice at the plan's own poses.
-    trouble : str
+    problem_found : str
         What was in the way last.
     failure : str
         Why no program could be solved and proved; empty where one was.
@@ -108,7 +108,7 @@ class JointSearch:
         self.problem, self.minimise, self.bounds = plan.problem, minimise, bounds
         self.home, self.options = home, options
         self.discrete: JointMeasures | None = None
-        self.trouble = self.failure = ""
+        self.problem_found = self.failure = ""
         self.stats: list[dict[str, Any]] = []
         self._plan = plan
         self._ends = [PoseFeasibility(self.problem.checker, T) for T in plan.poses[[0, -1]]]
@@ -131,17 +131,17 @@ class JointSearch:
         shared = [t.grasp_ids for t in self._plan.transitions]
         for number in range(self.options.rounds):
             choices = self._choices(xi, shared)
-            short = short or self.trouble
+            short = short or self.problem_found
             as_they_are = [c for c in (self._candidate(xi, choice) for choice in choices[:1]) if c is not None]
             if number == 0:
-                short = short or self.trouble
+                short = short or self.problem_found
                 own = self._candidate(xi, first_choice(self._plan))
                 as_they_are += [] if own is None else [own]
                 self.discrete = min(as_they_are, key=self._loss).measures if as_they_are else None
             new = [choice for choice in choices if best is None or not _same(choice, best.choice)]
             solved = [c for c in (self._solved(xi, choice) for choice in new) if c is not None]
             if best is None and not solved:
-                self.failure = "; ".join(dict.fromkeys(text for text in (short, self.trouble) if text))
+                self.failure = "; ".join(dict.fromkeys(text for text in (short, self.problem_found) if text))
                 return min(as_they_are, key=self._loss, default=None)
             before = best if best is not None else min(as_they_are, key=self._loss, default=None)
             best = min([*([] if best is None else [best]), *as_they_are, *solved], key=self._loss)
@@ -173,7 +173,7 @@ class JointSearch:
         rest = self.home, self.options.starts, self.problem.workcell.robot.nearest_equivalent
         choices = best_choices(layers, self.minimise, self.bounds, *rest)
         if not choices:
-            self.trouble = unreachable(layers, self.bounds)
+            self.problem_found = unreachable(layers, self.bounds)
             choices = best_choices(layers, self.minimise, MeasureBounds(), *rest)
         return choices
 
@@ -198,7 +198,7 @@ class JointSearch:
         solve = solve_joint(problem, self._functions, task, self.options.ipopt)
         self.stats.append({"status": solve.status, "violation": solve.violation, "iterations": solve.iterations})
         if solve.violation:
-            self.trouble = f"Ipopt ended with {solve.status}: {solve.violation}"
+            self.problem_found = f"Ipopt ended with {solve.status}: {solve.violation}"
             return None
         for share in STEPS:
             x = xi + share * (solve.xi - xi)
@@ -220,7 +220,7 @@ class JointSearch:
                     break
                 q[i, side] -= np.linalg.lstsq(jacobian, residual.ravel(), rcond=None)[0]
             else:
-                self.trouble = (
+                self.problem_found = (
                     f"transition {i}: the arm misses the grasp by {POSITION_UNIT * np.abs(residual).max():.2g}"
                 )
                 return None
@@ -233,7 +233,7 @@ class JointSearch:
             measures = self._measures(xi, choice)
             refusal = self.bounds.shortfall(measures)
         if refusal:
-            self.trouble = refusal
+            self.problem_found = refusal
             return None
         return Candidate(xi, choice, measures)
 

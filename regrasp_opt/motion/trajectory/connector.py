@@ -50,39 +50,39 @@ class Connector:
         """Return the connector for `robot` that `options` ask for."""
         return Connector(robot, *options.limits(robot), options.distances)
 
-    def away(self, setting: CollisionContext, q: FloatArray, directions: FloatArray) -> Trajectory | None:
+    def away(self, context: CollisionContext, q: FloatArray, directions: FloatArray) -> Trajectory | None:
         """Return a proved straight motion of the tool from `q` (dof,) along one of `directions` (D, 3), base frame."""
         for direction, length in itertools.product(directions, self.distances):
             waypoints = line(self.robot, q, direction, length)
             if waypoints is None:
                 continue
             trajectory = fastest(through(waypoints), self.velocity, self.acceleration, LINE_GRID)
-            if self.accepted(setting, trajectory):
+            if self.accepted(context, trajectory):
                 return trajectory
         return None
 
-    def straight(self, setting: CollisionContext, start: FloatArray, goal: FloatArray) -> Trajectory | None:
+    def straight(self, context: CollisionContext, start: FloatArray, goal: FloatArray) -> Trajectory | None:
         """Return the straight motion in joint space between configurations (dof,), if it is proved."""
         trajectory = rest_to_rest(start, goal, self.velocity, self.acceleration)
-        return trajectory if self.accepted(setting, trajectory) else None
+        return trajectory if self.accepted(context, trajectory) else None
 
     def around(
-        self, setting: CollisionContext, start: FloatArray, goal: FloatArray, rng: np.random.Generator, iterations: int
+        self, context: CollisionContext, start: FloatArray, goal: FloatArray, rng: np.random.Generator, iterations: int
     ) -> Trajectory | None:
         """Return a proved motion between configurations (dof,) that a sampling planner found, rounded if possible."""
         limits = self.robot.lower, self.robot.upper
-        corners = polyline(setting, start, goal, limits, rng, iterations=iterations)
+        corners = polyline(context, start, goal, limits, rng, iterations=iterations)
         if corners is None:
             return None
         for spacing in ROUNDING:
             trajectory = fastest(rounded(corners, spacing), self.velocity, self.acceleration, PATH_GRID)
-            if self.accepted(setting, trajectory):
+            if self.accepted(context, trajectory):
                 return trajectory
         legs = [rest_to_rest(a, b, self.velocity, self.acceleration) for a, b in itertools.pairwise(corners)]
         trajectory = joined(legs)
-        return trajectory if self.accepted(setting, trajectory) else None
+        return trajectory if self.accepted(context, trajectory) else None
 
-    def accepted(self, setting: CollisionContext, trajectory: Trajectory) -> bool:
+    def accepted(self, context: CollisionContext, trajectory: Trajectory) -> bool:
         """Return whether `trajectory` stays within the joint limits and is proved free of collision."""
         low, high = trajectory.position_range()
-        return self.robot.within_limits(low) and self.robot.within_limits(high) and prove(setting, trajectory).holds
+        return self.robot.within_limits(low) and self.robot.within_limits(high) and prove(context, trajectory).holds

@@ -28,16 +28,16 @@ class Proof(NamedTuple):
     tests: int
 
 
-def prove(setting: CollisionContext, trajectory: Trajectory) -> Proof:
-    """Prove `trajectory` free of collision in `setting`, or return where that fails."""
-    return _Prover(setting, trajectory).run()
+def prove(context: CollisionContext, trajectory: Trajectory) -> Proof:
+    """Prove `trajectory` free of collision in `context`, or return where that fails."""
+    return _Prover(context, trajectory).run()
 
 
 class _Prover:
     """Intervals are pairs of path parameters: the number of a cubic piece plus the parameter in [0, 1] on it."""
 
-    def __init__(self, setting: CollisionContext, trajectory: Trajectory) -> None:
-        self._setting, self._trajectory = setting, trajectory
+    def __init__(self, context: CollisionContext, trajectory: Trajectory) -> None:
+        self._setting, self._trajectory = context, trajectory
         self._known: dict[tuple[float, int], bool] = {}
 
     def run(self) -> Proof:

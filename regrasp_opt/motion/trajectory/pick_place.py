@@ -52,7 +52,7 @@ class MotionTools:
 
 
 class PickPlaceMotion:
-    """The motions of one hold from a state on; what was found or refuted is remembered from round to round.
+    """The motions of one grasp of a transition, from where the arm rests; results are remembered from round to round.
 
     Attributes
     ----------
@@ -60,11 +60,11 @@ class PickPlaceMotion:
         What was not found when `segments` last returned None.
     """
 
-    def __init__(self, tools: MotionTools, index: int, hold: Grasped, start: Resting) -> None:
+    def __init__(self, tools: MotionTools, index: int, grasped: Grasped, start: Resting) -> None:
         problem = tools.plan.problem
-        self._tools, self._index, self._hold, self._start = tools, index, hold, start
+        self._tools, self._index, self._grasped, self._start = tools, index, grasped, start
         self._T_pick, self._T_place = tools.plan.poses[index : index + 2]
-        self._width = float(problem.grasps.width[hold.grasp_id])
+        self._width = float(problem.grasps.width[grasped.grasp_id])
         self._open = self._width + 2 * problem.workcell.end_effector.pre_opening
         self._homeward = tools.home if index == len(tools.plan.transitions) - 1 else None
         self._lines: dict[Phase, Trajectory] = {}
@@ -83,20 +83,20 @@ class PickPlaceMotion:
         if lines is None:
             return None
         approach, lift, lower, retreat = lines
-        start, hold, scene = self._start, self._hold, self._tools.scene
+        start, grasped, scene = self._start, self._grasped, self._tools.scene
         wide, narrow = (self._open, self._open), (self._width, self._width)
         opening = self._open if start.opening is None else start.opening
-        holding = partial(scene.holding, hold.grasp_id)
+        holding = partial(scene.holding, grasped.grasp_id)
         transfer = self._connected(Phase.TRANSFER, holding, lift.positions[-1], lower.positions[0], iterations)
         if transfer is None:
             return None
         parts = [
             (Phase.APPROACH, approach, wide),
-            (Phase.GRASP, _rest(hold.q_pick), (self._open, self._width)),
+            (Phase.GRASP, _rest(grasped.q_pick), (self._open, self._width)),
             (Phase.LIFT, lift, narrow),
             (Phase.TRANSFER, transfer, narrow),
             (Phase.LOWER, lower, narrow),
-            (Phase.RELEASE, _rest(hold.q_place), (self._width, self._open)),
+            (Phase.RELEASE, _rest(grasped.q_place), (self._width, self._open)),
             (Phase.RETREAT, retreat, wide),
         ]
         if start.q is not None:
@@ -111,12 +111,12 @@ class PickPlaceMotion:
             if back is None:
                 return None
             parts.append((Phase.RETURN, back, wide))
-        return [Segment(phase, self._index, hold.grasp_id, path, jaw) for phase, path, jaw in parts]
+        return [Segment(phase, self._index, grasped.grasp_id, path, jaw) for phase, path, jaw in parts]
 
     def _connected(
         self,
         phase: Phase,
-        setting: Callable[[], CollisionContext],
+        context: Callable[[], CollisionContext],
         start: FloatArray,
         goal: FloatArray,
         iterations: int,
@@ -126,9 +126,9 @@ class PickPlaceMotion:
         found = self._connections.get(phase)
         if found is None and phase not in self._bent:
             self._bent.add(phase)
-            found = connector.straight(setting(), start, goal)
+            found = connector.straight(context(), start, goal)
         if found is None and iterations > 0:
-            found = connector.around(setting(), start, goal, self._tools.rng, iterations)
+            found = connector.around(context(), start, goal, self._tools.rng, iterations)
         if found is None:
             self.blocked = phase
         else:
@@ -137,14 +137,14 @@ class PickPlaceMotion:
 
     def _straight_lines(self, tilted: bool) -> tuple[Trajectory, Trajectory, Trajectory, Trajectory] | None:
         """Return approach, lift, lowering and retreat, or None if one of them is not possible."""
-        hold = self._hold
+        grasped = self._grasped
         if not self._holds:
             return None
         for phase, make, q, T in (
-            (Phase.LIFT, self._up, hold.q_pick, self._T_pick),
-            (Phase.LOWER, self._up, hold.q_place, self._T_place),
-            (Phase.APPROACH, self._back, hold.q_pick, self._T_pick),
-            (Phase.RETREAT, self._back, hold.q_place, self._T_place),
+            (Phase.LIFT, self._up, grasped.q_pick, self._T_pick),
+            (Phase.LOWER, self._up, grasped.q_place, self._T_place),
+            (Phase.APPROACH, self._back, grasped.q_pick, self._T_pick),
+            (Phase.RETREAT, self._back, grasped.q_place, self._T_place),
         ):
             if phase in self._lines:
                 continue
@@ -165,8 +165,8 @@ class PickPlaceMotion:
     def _holds(self) -> bool:
         """Whether the object is gripped at both poses."""
         ends = (
-            (Phase.GRASP, self._hold.q_pick, self._T_pick),
-            (Phase.RELEASE, self._hold.q_place, self._T_place),
+            (Phase.GRASP, self._grasped.q_pick, self._T_pick),
+            (Phase.RELEASE, self._grasped.q_place, self._T_place),
         )
         for phase, q, T in ends:
             if not self._grips(q, T):
@@ -178,16 +178,16 @@ class PickPlaceMotion:
         """Return whether the arm at `q` (dof,) holds the grasp, with room for the jaw; plans may come from files."""
         cell, grasps = self._tools.plan.problem.workcell, self._tools.plan.problem.grasps
         T_world_tcp = cell.T_world_base @ cell.robot.forward(q) @ cell.end_effector.T_flange_tcp
-        distance, angle = pose_distance(T_world_tcp, T_world_object @ grasps.T_object_tcp[self._hold.grasp_id])
+        distance, angle = pose_distance(T_world_tcp, T_world_object @ grasps.T_object_tcp[self._grasped.grasp_id])
         if distance > FK_POSITION_TOLERANCE or angle > FK_ROTATION_TOLERANCE:
             return False
         return self._tools.scene.closing(T_world_object, (self._width, self._open)).passes(q, len(LEVELS) - 1)
 
     def _up(self, q: FloatArray, T_world_object: FloatArray, tilted: bool) -> Trajectory | None:
         """Return the straight lift from the object's resting pose (4, 4)."""
-        cell, setting = (
+        cell, context = (
             self._tools.plan.problem.workcell,
-            self._tools.scene.lifting(self._hold.grasp_id, T_world_object),
+            self._tools.scene.lifting(self._grasped.grasp_id, T_world_object),
         )
         flange = cell.robot.forward(q)
         up = cell.T_base_world[:3, 2]
@@ -200,14 +200,14 @@ class PickPlaceMotion:
             back = -flange[:3, 2]
             if back @ up > RISE:
                 directions = np.vstack([back, directions])
-        return self._tools.connector.away(setting, q, _units(directions))
+        return self._tools.connector.away(context, q, _units(directions))
 
     def _back(self, q: FloatArray, T_world_object: FloatArray, tilted: bool) -> Trajectory | None:
         """Return the straight retreat of the open jaw from the object at (4, 4), back along the tool's axis."""
-        setting = self._tools.scene.beside(T_world_object, (self._open, self._open))
+        context = self._tools.scene.beside(T_world_object, (self._open, self._open))
         x, _, z = self._tools.plan.problem.workcell.robot.forward(q)[:3, :3].T
         directions = np.array([-z - TILT * x, -z + TILT * x] if tilted else [-z])
-        return self._tools.connector.away(setting, q, _units(directions))
+        return self._tools.connector.away(context, q, _units(directions))
 
 
 def _units(vectors: FloatArray) -> FloatArray:

@@ -80,8 +80,8 @@ def _plan(plan: RegraspPlan, options: MotionOptions, connector: Connector, home:
         return _Result(MotionStatus.NO_PLAN, f"the plan's status is {plan.status.name.lower()}")
     scene = MotionScene(plan.problem)
     for T, where in ((plan.poses[0], "start"), (plan.poses[-1], "goal")):
-        setting = scene.beside(T, (0.0, plan.problem.workcell.end_effector.max_opening))
-        if home is not None and not setting.passes(home, len(LEVELS) - 1):
+        context = scene.beside(T, (0.0, plan.problem.workcell.end_effector.max_opening))
+        if home is not None and not context.passes(home, len(LEVELS) - 1):
             return _Result(MotionStatus.HOME_BLOCKED, f"the arm at home collides with the object at the {where}")
     held = [_held(plan.problem, transition) for transition in plan.transitions]
     for index, transition in enumerate(held):
@@ -119,7 +119,7 @@ class _Transition:
         """Return the segments of the transition, or what is in the way."""
         blocked = Counter[Phase]()
         for holds in (self._planned(), self._all_others()):
-            ways = [PickPlaceMotion(self._tools, self._index, hold, self._start) for hold in self._nearest(holds)]
+            ways = [PickPlaceMotion(self._tools, self._index, grasped, self._start) for grasped in self._nearest(holds)]
             found = self._first(ways, tilted=False)
             found = found or self._first([way for way in ways if way.blocked in LINES], tilted=True)
             if found:
@@ -162,15 +162,15 @@ class _Transition:
         robot, tools, start = self._tools.plan.problem.workcell.robot, self._tools, self._start.q
         homeward = tools.home if self._index == len(tools.plan.transitions) - 1 else None
         found = list[tuple[float, Grasped]]()
-        for hold in holds:
-            ends = np.stack([hold.q_pick, hold.q_place])
+        for grasped in holds:
+            ends = np.stack([grasped.q_pick, grasped.q_place])
             ways = [end - q for end, q in zip((start, homeward), ends, strict=True) if end is not None]
             turns = robot.nearest_equivalent(ends, ends + np.mean(ways or [np.zeros(robot.dof)], axis=0)) - ends
             ends = ends + turns[np.abs(turns).argmin(axis=0), np.arange(robot.dof)]  # what both ends have room for
             moves = [end - q for end, q in zip((start, homeward), ends, strict=True) if end is not None]
             cost = sum(float(self._time(move)) for move in (ends[1] - ends[0], *moves))
-            found.append((cost, Grasped(hold.grasp_id, *ends)))
-        return [hold for _, hold in sorted(found, key=lambda each: each[0])][: self._options.candidates]
+            found.append((cost, Grasped(grasped.grasp_id, *ends)))
+        return [grasped for _, grasped in sorted(found, key=lambda each: each[0])][: self._options.candidates]
 
     def _time(self, change: FloatArray) -> FloatArray:
         """Return how long straight moves by `change` (..., dof) take at full speed (...) [s]."""

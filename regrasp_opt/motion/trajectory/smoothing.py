@@ -48,7 +48,7 @@ def shortened(
 
 
 def context_of(plan: RegraspPlan, scene: MotionScene, segment: Segment) -> CollisionContext:
-    """Return the setting in which the arm moves in `segment`."""
+    """Return the context in which the arm moves in `segment`."""
     leaves = segment.phase in (Phase.LIFT, Phase.REACH, Phase.APPROACH)
     T = plan.poses[segment.transition + (not leaves)]
     if segment.phase is Phase.TRANSFER:
@@ -84,7 +84,7 @@ def _attempt(connector: Connector, run: list[Segment], share: float, radius: flo
     middle[[0, -1]] = paths[0].positions[[0, -1]]  # exactly
     if run[-1].phase in _ARRIVING:
         line, rest = _cut(connector, paths[-1].reversed(), share)
-        after = Line(line.positions[::-1], -line.slope[::-1], line.bend[::-1])
+        after = Line(line.positions[::-1], -line.first[::-1], line.second[::-1])
         path = np.vstack([*rests, middle, rest[::-1]])
     else:
         path = np.vstack([*rests, middle])

@@ -54,8 +54,8 @@ class Line(NamedTuple):
     """A line of the tool over s in [0, 1], `LINE_STEPS` + 1 points: positions and derivatives (points, dof)."""
 
     positions: FloatArray
-    slope: FloatArray
-    bend: FloatArray
+    first: FloatArray
+    second: FloatArray
 
 
 class Crossing(NamedTuple):
@@ -96,28 +96,28 @@ class _RunProgram:
             if not present:
                 continue
             y = nlp.variable(f"speed {name}", LINE_STEPS, lower=SLOWEST)  # all but the rest
-            slope, bend = (nlp.parameter(f"{each} {name}", (dof, LINE_STEPS + 1)) for each in ("slope", "bend"))
+            first, second = (nlp.parameter(f"{each} {name}", (dof, LINE_STEPS + 1)) for each in ("first", "second"))
             speeds = ca.vertcat(0, y) if end == 0 else ca.vertcat(y, 0)
             time += ca.sum1(2 / LINE_STEPS / (speeds[1:] + speeds[:-1]))
             gain = (speeds[1:] ** 2 - speeds[:-1] ** 2) * LINE_STEPS / 2
             accelerations = [
-                (slope[:, i] * gain[k] + bend[:, i] * speeds[i] ** 2) / acceleration
+                (first[:, i] * gain[k] + second[:, i] * speeds[i] ** 2) / acceleration
                 for k in range(LINE_STEPS)
                 for i in (k, k + 1)
             ]
             limit(f"acceleration {name}", ca.vertcat(*accelerations))
             moving = range(1 - end, LINE_STEPS + 1 - end)
-            limit(f"velocity {name}", ca.vertcat(*[slope[:, i] * speeds[i] / velocity for i in moving]))
-            v_ends[end] = slope[:, -1] * y[-1] if end == 0 else slope[:, 0] * y[0]
+            limit(f"velocity {name}", ca.vertcat(*[first[:, i] * speeds[i] / velocity for i in moving]))
+            v_ends[end] = first[:, -1] * y[-1] if end == 0 else first[:, 0] * y[0]
         Q, V = nlp.variable("q", (STEPS - 1, dof)), nlp.variable("v", (STEPS - 1, dof))
         h = nlp.variable("h", lower=SHORTEST)
         q_ends = nlp.parameter("ends", (dof, 2))
         q = ca.horzcat(q_ends[:, 0], Q.T, q_ends[:, 1])
         v = ca.horzcat(v_ends[0], V.T, v_ends[1])
-        step, first, last = (q[:, 1:] - q[:, :-1]) / h, v[:, :-1], v[:, 1:]
+        step, v_first, v_last = (q[:, 1:] - q[:, :-1]) / h, v[:, :-1], v[:, 1:]
         spread = ca.repmat(acceleration * h, 1, STEPS)
-        a_first, a_last = (6 * step - 4 * first - 2 * last) / spread, (2 * first + 4 * last - 6 * step) / spread
-        middle = 1.5 * step - (first + last) / 4
+        a_first, a_last = (6 * step - 4 * v_first - 2 * v_last) / spread, (2 * v_first + 4 * v_last - 6 * step) / spread
+        middle = 1.5 * step - (v_first + v_last) / 4
         for name, share in (("first acceleration", a_first), ("last acceleration", a_last)):
             limit(name, ca.vec(share))
         for name, each in (("velocity", V.T), ("velocity between", middle)):
@@ -158,7 +158,7 @@ class _RunProgram:
             y = x[LINE_STEPS * number : LINE_STEPS * (number + 1)]
             speeds = np.append(0.0, y) if end == 0 else np.append(y, 0.0)
             times = np.concatenate([[0.0], np.cumsum(2 / LINE_STEPS / (speeds[1:] + speeds[:-1]))])
-            found[2 * end] = Trajectory(times, line.positions, line.slope * speeds[:, None])
+            found[2 * end] = Trajectory(times, line.positions, line.first * speeds[:, None])
             ends[end] = found[2 * end].velocities[-1 if end == 0 else 0]
         positions = np.vstack([guess[:1], Q, guess[-1:]])
         times = np.linspace(0.0, STEPS * h, STEPS + 1)
@@ -168,7 +168,7 @@ class _RunProgram:
 
 def _speeds(line: Line, velocity: FloatArray, acceleration: FloatArray, end: int) -> FloatArray:
     """Return a slow start for the speeds (`LINE_STEPS`,) along `line`, which rests at its other `end`."""
-    slope = np.maximum(np.abs(line.slope).max(axis=0), 1e-9)
-    top = 0.5 * min(float((velocity / slope).min()), float(np.sqrt((acceleration / slope).min())))
+    first = np.maximum(np.abs(line.first).max(axis=0), 1e-9)
+    top = 0.5 * min(float((velocity / first).min()), float(np.sqrt((acceleration / first).min())))
     rising = top * np.sqrt(np.arange(1, LINE_STEPS + 1) / LINE_STEPS)
     return rising if end == 0 else rising[::-1]

@@ -74,21 +74,21 @@ def fastest(path: BSpline | CubicSpline, velocity: FloatArray, acceleration: Flo
     It has `grid` + 1 knots, evenly spaced over s.
     """
     s = np.linspace(0.0, 1.0, grid + 1)
-    slope, bend = path(s, 1), path(s, 2)
-    x = _path_speeds(slope, bend, velocity, acceleration)
+    first, second = path(s, 1), path(s, 2)
+    x = _path_speeds(first, second, velocity, acceleration)
     root = np.sqrt(x)
     times = np.concatenate([[0.0], np.cumsum(2 / grid / (root[1:] + root[:-1]))])
-    return Trajectory(times, path(s), slope * root[:, None]).within(velocity, acceleration)
+    return Trajectory(times, path(s), first * root[:, None]).within(velocity, acceleration)
 
 
-def _path_speeds(slope: FloatArray, bend: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+def _path_speeds(first: FloatArray, second: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
     """Return the largest squared path speeds at the grid points, zero at both ends."""
-    count, dof = slope.shape
+    count, dof = first.shape
     with np.errstate(divide="ignore"):
-        upper = ((velocity / np.abs(slope)) ** 2).min(axis=1)
-        upper = np.minimum(upper, (acceleration / np.abs(bend)).min(axis=1))
+        upper = ((velocity / np.abs(first)) ** 2).min(axis=1)
+        upper = np.minimum(upper, (acceleration / np.abs(second)).min(axis=1))
     upper[[0, -1]] = 0.0
-    # Rows: at both ends of every interval and for each joint, bend x + slope (x_next - x_this) / (2 ds).
+    # Rows: at both ends of every interval and for each joint, second x + first (x_next - x_this) / (2 ds).
     left, right = np.arange(count - 1), np.arange(1, count)
     rate = (count - 1) / 2
     scale = 1 / acceleration
@@ -96,10 +96,10 @@ def _path_speeds(slope: FloatArray, bend: FloatArray, velocity: FloatArray, acce
     for block, here in enumerate((left, right)):
         row = (block * (count - 1) * dof + np.arange((count - 1) * dof)).reshape(count - 1, dof)
         for column, weight in ((left, -rate), (right, rate)):
-            own = bend[here] if column is here else 0.0
+            own = second[here] if column is here else 0.0
             rows.append(row)
             columns.append(np.repeat(column[:, None], dof, axis=1))
-            values.append((slope[here] * weight + own) * scale)
+            values.append((first[here] * weight + own) * scale)
     size = 2 * (count - 1) * dof
     index = np.concatenate([r.ravel() for r in rows]), np.concatenate([c.ravel() for c in columns])
     half = coo_array((np.concatenate([v.ravel() for v in values]), index), shape=(size, count))
