@@ -285,7 +285,7 @@ class World:
         triangle, corners = self._triangle(0, T)
         best = most
         for k in np.argsort(least):
-            if least[k] >= best or best < enough:
+            if least[k] > max(best, 0.0) or best < enough:
                 break
             corners[:] = mesh.solid.four[rows[k]]
             best = min(best, self._between(triangle, other.geom, max(best, 0.0)))
@@ -316,7 +316,7 @@ class World:
         best = most
         near = np.flatnonzero(least < most)
         for k in near[np.argsort(least[near])]:
-            if least[k] >= best or best < enough:
+            if least[k] > max(best, 0.0) or best < enough:
                 break
             corners[:], others[:] = a.four[rows_a[i[k]]], b.four[rows_b[j[k]]]
             best = min(best, self._between(one, other, max(best, 0.0)))
