@@ -18,6 +18,12 @@ def shape_of(shape):
     return Shape(shape.name, "box", shape.pose, shape.size)
 
 
+def pad_of(effector):
+    """Return the (low, high) corners in x and z of the pad, or None of a suction cup."""
+    pad = getattr(effector, "pad", None)
+    return None if pad is None else np.array([pad.x, pad.z], dtype=float).T
+
+
 def cell_of(workcell):
     """Return a workcell of the package, perhaps changed in memory, as the verifiers would read it from its files."""
     robot, effector, table = workcell.robot, workcell.end_effector, workcell.table
@@ -28,7 +34,7 @@ def cell_of(workcell):
         path=None,
         T_world_base=workcell.T_world_base,
         robot=read_urdf(robot.urdf_path, robot.tip_frame),
-        tool=Tool(effector.kind, *lengths, [shape_of(shape) for shape in effector.body], fingers),
+        tool=Tool(effector.kind, *lengths, [shape_of(shape) for shape in effector.body], fingers, pad_of(effector)),
         table={name: getattr(table, name) for name in ("height", "center", "size", "thickness")},
         obstacles=[shape_of(shape) for shape in workcell.obstacles],
         clearance={name: getattr(near, name) for name in ("arm", "gripper", "self_collision")},

@@ -29,7 +29,7 @@ SHARED = Path(__file__).resolve().parents[3] / "shared" / "objects"
 BUILT_IN = "bottle", "mug", "pentagon", "figurine"
 GRASPS = {"panda": 30, "xarm7": 30}
 """Grasps on arms whose inverse kinematics is slow; 60 elsewhere."""
-ROWS = 12
+ROWS = 8
 """Grasps of a transition that are verified, but for every fifth plan, of which all are."""
 TIME_LIMIT = 60.0
 
@@ -51,7 +51,8 @@ def groups(plans, motions):
 def problem_of(cell, thing, folder):
     """Return the problem of an object in a cell; where no energy was prepared, with one that knows nothing."""
     from regrasp_opt import RegraspProblem
-    from regrasp_opt.benchmarks.cross_effector import constant_energy
+    from regrasp_opt.energy.features import feature_count
+    from regrasp_opt.energy.model import EnergyModel
     from regrasp_opt.grasps import sample_grasps
     from regrasp_opt.objects import load_object
     from regrasp_opt.planning.problem import ProblemEnergy
@@ -63,7 +64,10 @@ def problem_of(cell, thing, folder):
     workcell = load_workcell(write_cell(cell, folder) if cell in {*FOREIGN, *OWN} else cell)
     grasps = sample_grasps(body, workcell.end_effector, GRASPS.get(cell, 60), seed=0)
     problem = replace(RegraspProblem.load(body, workcell, grasps=grasps), model_folder=None)
-    problem.__dict__["energy"] = ProblemEnergy(constant_energy(), problem.grasps, problem.placement_poses)
+    zeros = [np.zeros(shape, np.float32) for shape in ((1, feature_count("tcp", False)), (1, 1), (1, 1))]
+    biases = tuple(np.zeros(1, np.float32) for _ in zeros)
+    nothing = EnergyModel(tuple(zeros), biases, "silu", "tcp", use_width=False, bounded=True, threshold=1.0)
+    problem.__dict__["energy"] = ProblemEnergy(nothing, problem.grasps, problem.placement_poses)
     return problem, "lattice"
 
 
@@ -78,7 +82,11 @@ def plan_trial(folder, seed, cell, thing, number):
     from regrasp_opt.planning.tasks import random_task
 
     problem, refiner = problem_of(cell, thing, folder)
-    task = random_task(problem, np.random.default_rng([seed, number]), needs_regrasp=True if number % 2 else None)
+    rng = np.random.default_rng([seed, number])
+    for _ in range(20 if number % 2 else 1):  # every other pair shares no grasp, where such are easily found
+        task = random_task(problem, rng, needs_regrasp=False if cell == "z1" and number % 4 != 1 else None)
+        if task.shared == 0:
+            break
     began = time.perf_counter()
     plan = solve_sequence(
         problem, task.start, task.goal, refiner=refiner, max_regrasps=3, seed=number, time_limit=TIME_LIMIT
@@ -97,8 +105,7 @@ def plan_trial(folder, seed, cell, thing, number):
 
     problems = verifier.problems(content, rows)
     grasps = sum(len(t["grasp_ids"]) for t in content["transitions"])
-    row |= {"num_regrasps": plan.num_regrasps, "grasps": grasps, "false": problems[:5], "plan": path.name}
-    return row | {"certificate": list(plan.residuals().problems[:3])}
+    return row | {"num_regrasps": plan.num_regrasps, "grasps": grasps, "false": problems[:5], "plan": path.name}
 
 
 def motion_trial(folder, seed, cell, thing, number):
@@ -206,8 +213,11 @@ def run_campaign(folder, plans, motions, damaged, seed, jobs):
         (folder / name).mkdir(parents=True, exist_ok=True)
     log = folder / "trials.jsonl"
     rows = [json.loads(line) for line in log.read_text("utf-8").splitlines()] if log.exists() else []
+    rows = [row for row in rows if not row["status"].startswith("error")]  # these are tried again
     done = {(row["trial"], *row["arguments"]) for row in rows}
     chosen, kinds = groups(plans, motions), list(DAMAGE)
+    for cell in {cell for cell, *_ in chosen} & {*FOREIGN, *OWN}:
+        write_cell(cell, folder)
     parts = [
         [[("plan", (cell, thing, n)) for n in range(first, min(first + 12, count))] for first in range(0, count, 12)]
         for cell, thing, count, _ in chosen
@@ -252,7 +262,7 @@ def tables(rows):
     lines.append("")
     for row in rows:
         wrong = row.get("false") or row["status"].startswith("error") or row.get("caught") is False
-        if wrong or row.get("certificate"):
+        if wrong:
             lines.append(f"* {row['trial']} {row['arguments']}: {row['status']} {row.get('false') or ''}")
     return "\n".join(lines) + "\n"
 

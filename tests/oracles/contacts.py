@@ -23,16 +23,15 @@ def hold_problem(tool, solid, T_object_tcp, width):
 def _jaw(tool, solid, T, width):
     if not 0 < width <= tool.max_opening:
         return f"the jaw cannot be {width:.4f} m open"
-    pads = [corners for corners in tool.fingers if corners[0, 1] == min(c[0, 1] for c in tool.fingers)]
     for sign, side in ((1.0, "+"), (-1.0, "-")):
-        if not any(_touches(solid, T, pad - [0, 0, tool.tcp_offset], sign, width) for pad in pads):
+        if not _touches(solid, T, tool.pad - [0, tool.tcp_offset], sign, width):
             return f"the {side}y finger touches nothing that it could hold"
     return None
 
 
 def _touches(solid, T, pad, sign, width):
-    """Return whether the surface meets a pad (low, high) in the TCP frame where the jaw is `width` [m] open."""
-    x, z = (np.append(np.linspace(pad[0, axis], pad[1, axis], RAYS), 0.0) for axis in (0, 2))
+    """Return whether the surface meets a pad, (low, high) in x and z of the TCP frame, at an opening of `width` [m]."""
+    x, z = (np.append(np.linspace(*ends, RAYS), np.clip(0.0, *ends)) for ends in pad.T)
     spots = np.stack(np.meshgrid(x, [0.0], z, indexing="ij"), axis=-1).reshape(-1, 3)
     direction = sign * T[:3, 1]
     _, y, triangle = solid.hits(spots @ T[:3, :3].T + T[:3, 3], direction)

@@ -78,7 +78,7 @@ class Shape:
 
 @dataclass
 class Tool:
-    """An end-effector file; fingers are (low, high) corners of the +y finger at zero opening."""
+    """An end-effector file; fingers are (low, high) corners at zero opening, the pad (low, high) in x and z."""
 
     kind: str
     tcp_offset: float
@@ -87,6 +87,7 @@ class Tool:
     max_opening: float
     body: list[Shape]
     fingers: list[np.ndarray]
+    pad: np.ndarray | None
 
 
 @dataclass
@@ -168,7 +169,18 @@ def read_tool(path):
     parallel = content["kind"] == "parallel"
     pre_opening = content.get("pre_opening", 0.005) if parallel else 0.0
     lengths = content.get("cup_radius", 0.0), content.get("max_opening", 0.0)
-    return Tool(content["kind"], content["tcp_offset"], pre_opening, *lengths, body, fingers)
+    pad = content.get("pad")
+    area = np.array([pad["x"], pad["z"]], dtype=float).T if pad else _fingertip(fingers)
+    return Tool(content["kind"], content["tcp_offset"], pre_opening, *lengths, body, fingers, area)
+
+
+def _fingertip(fingers):
+    """Return (low, high) in x and z of the inner faces of the boxes that reach farthest, those nearest the middle."""
+    if not fingers:
+        return None
+    far = [box for box in fingers if box[1, 2] >= max(box[1, 2] for box in fingers) - 1e-9]
+    inner = [box for box in far if box[0, 1] <= min(box[0, 1] for box in far) + 1e-9]
+    return np.array([np.min([box[0, ::2] for box in inner], axis=0), np.max([box[1, ::2] for box in inner], axis=0)])
 
 
 @dataclass
