@@ -53,10 +53,15 @@ class Solid:
         self.convex = False
         try:
             self.hull = ConvexHull(self.vertices)
-            inner = self.center[:, None] @ self.hull.equations[:, :3].T + self.hull.equations[:, 3]
-            self.convex = self.closed and bool((inner.max(axis=(1, 2)) > -1e-7).all())
+            self.convex = self.closed and self.volume > 0.999 * self.hull.volume and self._is_its_hull()
         except QhullError:
             self.hull = None
+
+    def _is_its_hull(self):
+        """Return whether every triangle lies on the hull."""
+        planes = self.hull.equations
+        return all((centers @ planes[:, :3].T + planes[:, 3]).max(axis=1).min() > -1e-7
+                   for centers in np.array_split(self.center, len(self.center) // 500 + 1))  # fmt: skip
 
     def winding(self, points):
         """Return how often the surface winds around `points` (P, 3): 1 inside, 0 outside of a closed mesh."""

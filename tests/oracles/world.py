@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 import trimesh
+from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from .files import Cell, Shape
@@ -294,6 +295,7 @@ class World:
     def _to_solid(self, first, second, most, enough):
         """Return the least distance between the triangles of two meshes, up to `most`."""
         T_a, T_b = self._frame(first), self._frame(second)
+        most = min(most, self._some_distance(first.solid, T_a, second.solid, T_b))
         rows_a, rows_b = (self._near(m, o.geom, T, most)[0] for m, o, T in ((first, second, T_a), (second, first, T_b)))
         if len(rows_a) == 0 or len(rows_b) == 0:
             return most
@@ -321,6 +323,19 @@ class World:
             corners[:], others[:] = a.four[rows_a[i[k]]], b.four[rows_b[j[k]]]
             best = min(best, self._between(one, other, max(best, 0.0)))
         return best
+
+    def _some_distance(self, a, T_a, b, T_b):
+        """Return the distance of two triangles that are near each other, or 0 where they overlap."""
+        T = np.linalg.inv(T_a) @ T_b
+        centers = b.center @ T[:3, :3].T + T[:3, 3]
+        groups = b.group_center @ T[:3, :3].T + T[:3, 3]
+        m, n = np.unravel_index(cdist(a.group_center, groups).argmin(), (len(a.groups), len(b.groups)))
+        rows, others = a.groups[m], b.groups[n]
+        apart = cdist(a.center[rows], centers[others])
+        i, j = np.unravel_index(apart.argmin(), apart.shape)
+        (one, corners), (other, more) = self._triangle(0, T_a), self._triangle(1, T_b)
+        corners[:], more[:] = a.four[rows.start + i], b.four[others.start + j]
+        return max(self._between(one, other, FARTHEST), 0.0) + 1e-9
 
 
 def _beyond(corners, normals, others):
