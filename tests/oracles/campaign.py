@@ -50,13 +50,12 @@ def groups(plans, motions):
 @cache
 def problem_of(cell, thing, folder):
     """Return the problem of an object in a cell; where no energy was prepared, with one that knows nothing."""
-    from regrasp_opt import RegraspProblem
+    from regrasp_opt import RegraspProblem, load_workcell
+    from regrasp_opt.connectivity.embedding import ProblemEnergy
     from regrasp_opt.energy.features import feature_count
     from regrasp_opt.energy.model import EnergyModel
     from regrasp_opt.grasps import sample_grasps
     from regrasp_opt.objects import load_object
-    from regrasp_opt.planning.problem import ProblemEnergy
-    from regrasp_opt.workcell import load_workcell
 
     if cell == "nova2-w" and thing in BUILT_IN:
         return RegraspProblem.load(thing, cell), "ipopt"
@@ -157,7 +156,7 @@ def _grasp(content, rng):
 
 def _obstacle(content, rng, path):
     """Move an obstacle to a pose of the object in the cell's file; the plan says that it was made for this file."""
-    from regrasp_opt.workcell import load_workcell
+    from regrasp_opt import load_workcell
 
     built_in = content["workcell"]["source"] == "built-in"
     source = Path(content["workcell"]["source"])
