@@ -37,8 +37,6 @@ from mutmut.mutation.file_mutation import mutate_file_contents
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "mutants"
 LAYERS = ("connectivity", "energy", "feasibility", "grasps", "objects", "planning", "robots", "solvers")
-BUDGET = 20.0
-"""Seconds of processor time of the tests that a mutant has to pass to survive."""
 SLOW = "tests/planning/test_hundred_pairs.py"
 Mutated = dict[str, Any]
 """A file with all its mutants: ``code``, ``names``, the lines (``spans``) and ``hashes`` of its functions."""
@@ -222,7 +220,7 @@ class Campaign:
         done = before.get("hash") == code_hash and not (self.options.again and before["result"] in UNSEEN)
         if done or layer not in (self.options.layer or LAYERS) or time.monotonic() > self.end:
             return
-        tests, seconds = within_budget(reached, layer)
+        tests, seconds = within_budget(reached, layer, self.options.budget)
 
         def note(code: int) -> None:
             result = "no_tests" if not tests else "survived" if code == 0 else "timeout" if code < 0 else "killed"
@@ -247,12 +245,12 @@ def kept_for(file: Path) -> Path:
     return FOLDER / f"{file.parent.name}-{file.stem}.json"
 
 
-def within_budget(tests: list[tuple[float, str]], layer: str) -> tuple[list[str], float]:
+def within_budget(tests: list[tuple[float, str]], layer: str, budget: float) -> tuple[list[str], float]:
     """Return the tests that a mutant of `layer` is tried with, in their order, and the seconds that they take."""
     chosen: list[str] = []
     total = 0.0
     for seconds, test in sorted(tests, key=lambda item: not item[1].startswith(f"tests/{layer}/")):
-        if not chosen or total + seconds <= BUDGET:
+        if not chosen or total + seconds <= budget:
             chosen.append(test)
             total += seconds
     return chosen, total
@@ -263,6 +261,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=75, help="mutants of each layer (default 75)")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=float("inf"), help="begin no mutant after this time")
+    parser.add_argument("--budget", type=float, default=20.0, help="processor seconds of tests for each (default 20)")
     parser.add_argument("--jobs", type=int, default=1, help="mutants that are tried at a time")
     parser.add_argument("--layer", choices=LAYERS, action="append", help="this layer only; may be repeated")
     parser.add_argument("--again", action="store_true", help="try mutants that survived again")
