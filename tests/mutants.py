@@ -4,10 +4,10 @@
 
 mutmut makes the mutants. They are drawn and run here, because mutmut runs all of them, and all of its tests before each
 start. pytest collects the tests once; each mutant is then tried in a process forked from there, until a test fails:
-those beside its layer first, and of these the quickest first. Tests that would take longer than `BUDGET` in all are
-left out, so a mutant that counts as survived may be noticed by a slow test. What is done is kept in ``mutants/``, and a
+those beside its layer first, and of these the quickest first. Tests beyond the budget are left out, so that a mutant
+that survived may be noticed by a slow one: ``--again --budget 200`` tells. What is done is kept in ``mutants/``, and a
 second run goes on; a mutant is tried again when its function has changed, one that survived also with ``--again``. The
-counts are written where `python -m tests.fuzz.reliability` reads them.
+counts are written where `regrasp-opt bench reliability` reads them.
 """
 
 from __future__ import annotations
