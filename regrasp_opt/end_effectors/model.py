@@ -11,7 +11,7 @@ import numpy as np
 from regrasp_opt.conventions import FloatArray, invert, translation
 from regrasp_opt.errors import WorkcellError
 from regrasp_opt.files import content_hash
-from regrasp_opt.geometry.shapes import Box, Cylinder, Shape
+from regrasp_opt.geometry.shapes import Box, Shape, shape_parts
 
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 """Reflection through the x-z plane of the flange frame, which swaps the two fingers."""
@@ -117,7 +117,7 @@ class EndEffector:
 
     def fingerprint(self) -> str:
         """Return a hash of everything that decides which grasps are feasible; the name is not part of it."""
-        shapes: list[object] = [_shape_parts(shape) for shape in (*self.body, *self.finger)]
+        shapes: list[object] = [shape_parts(shape) for shape in (*self.body, *self.finger)]
         if self.pad != default_pad(self.finger):
             shapes.append(("pad", np.array(self.pad)))
         lengths = [self.tcp_offset, self.max_opening, self.pre_opening, self.cup_radius]
@@ -138,11 +138,3 @@ def _interval(boxes: Sequence[Box], axis: int) -> tuple[float, float]:
     """Return what `boxes` cover of an axis [m]."""
     ends = [(box.pose[axis, 3] - box.size[axis] / 2, box.pose[axis, 3] + box.size[axis] / 2) for box in boxes]
     return float(min(low for low, _ in ends)), float(max(high for _, high in ends))
-
-
-def _shape_parts(shape: Shape) -> tuple[object, ...]:
-    if isinstance(shape, Box):
-        return ("box", np.asarray(shape.size, dtype=np.float64), shape.pose)
-    if isinstance(shape, Cylinder):
-        return ("cylinder", np.array([shape.radius, shape.length]), shape.pose)
-    return ("mesh", shape.vertices, shape.faces, shape.pose)

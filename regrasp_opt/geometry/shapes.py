@@ -43,6 +43,33 @@ class Mesh:
 Shape = Box | Cylinder | Mesh
 
 
+def shape_parts(shape: Shape) -> list[object]:
+    """Return what makes up `shape` but for its name, as `content_hash` takes it."""
+    if isinstance(shape, Box):
+        return ["box", np.asarray(shape.size, dtype=np.float64), shape.pose]
+    if isinstance(shape, Cylinder):
+        return ["cylinder", np.array([shape.radius, shape.length]), shape.pose]
+    return ["mesh", shape.vertices, shape.faces, shape.pose]
+
+
+def geometry_parts(geometry: Any) -> list[object]:
+    """Return what makes up a Coal geometry, as `content_hash` takes it."""
+    kind = type(geometry).__name__
+    if isinstance(geometry, coal.Box):
+        return [kind, np.array(geometry.halfSide)]
+    if isinstance(geometry, coal.Sphere):
+        return [kind, float(geometry.radius)]
+    if isinstance(geometry, (coal.Cylinder, coal.Capsule)):
+        return [kind, float(geometry.radius), float(geometry.halfLength)]
+    return [kind, np.array(geometry.vertices()), mesh_faces(geometry)]
+
+
+def mesh_faces(geometry: Any) -> IntArray:
+    """Return the triangles (F, 3) of a Coal mesh as indices of its vertices."""
+    corners = [geometry.tri_indices(i) for i in range(geometry.num_tris)]
+    return np.array([[t[0], t[1], t[2]] for t in corners], dtype=np.int64)
+
+
 def mesh_geometry(vertices: FloatArray, faces: IntArray) -> Any:
     """Return a triangle mesh as a Coal bounding-volume hierarchy, concave parts included."""
     model = coal.BVHModelOBBRSS()

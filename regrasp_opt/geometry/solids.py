@@ -21,6 +21,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from regrasp_opt.conventions import FloatArray, IntArray, invert
+from regrasp_opt.geometry.shapes import mesh_faces
 
 SAME_VERTEX = 1e-7
 """Vertices nearer to each other than this share of a mesh's extent are one where its surface is followed."""
@@ -135,16 +136,10 @@ class Solid:
         self.is_mesh = isinstance(geometry, coal.BVHModelBase)
 
     @cached_property
-    def faces(self) -> IntArray:
-        """Triangles (F, 3) of a mesh as indices of its vertices."""
-        corners = [self.geometry.tri_indices(i) for i in range(self.geometry.num_tris)]
-        return np.array([[t[0], t[1], t[2]] for t in corners], dtype=np.int64)
-
-    @cached_property
     def shells(self) -> Shells:
         """What is known of the inside; other bodies than meshes have no triangles: Coal knows theirs."""
         if self.is_mesh:
-            return find_shells(np.array(self.geometry.vertices()), self.faces)
+            return find_shells(np.array(self.geometry.vertices()), mesh_faces(self.geometry))
         middle = self.geometry.points() if isinstance(self.geometry, coal.ConvexBase) else [self.geometry.aabb_center]
         return Shells(np.mean(middle, axis=0, keepdims=True), np.zeros((0, 3, 3)), 0)
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
 from regrasp_opt.end_effectors import EndEffector
-from regrasp_opt.geometry.shapes import Box, Cylinder, Shape
+from regrasp_opt.geometry.shapes import Shape, mesh_geometry, shape_geometry
 from regrasp_opt.geometry.solids import Solid
 from regrasp_opt.grasps.grasp_set import GraspSet
 from regrasp_opt.objects import ObjectModel
@@ -31,7 +31,7 @@ class GripperClearance:
     def __init__(
         self, vertices: FloatArray, faces: IntArray, end_effector: EndEffector, *, given: bool = False
     ) -> None:
-        self._object = _coal_mesh(vertices, faces)
+        self._object = mesh_geometry(vertices, faces)
         self._solid = Solid(self._object) if given else None
         self._T_tcp_flange = end_effector.T_tcp_flange
         inner = min(CONTACT_TOLERANCE, end_effector.pre_opening)
@@ -58,7 +58,7 @@ class GripperClearance:
         return free
 
     def _reject(self, free: BoolArray, shape: Shape, poses: FloatArray, margin: float) -> None:
-        geometry = _coal_shape(shape)
+        geometry = shape_geometry(shape)
         points = Solid(geometry).shells.points
         request, origin = coal.CollisionRequest(), coal.Transform3s()
         request.security_margin = margin
@@ -74,24 +74,3 @@ def gripper_free(grasps: GraspSet, model: ObjectModel, end_effector: EndEffector
     """Return in which grasps (G,) body and fingers are clear of the object and not inside it."""
     clearance = GripperClearance(model.vertices, model.faces, end_effector, given=True)
     return clearance.body_free(grasps.T_object_tcp) & clearance.fingers_free(grasps.T_object_tcp, grasps.width)
-
-
-def _coal_mesh(vertices: FloatArray, faces: IntArray) -> coal.BVHModelOBBRSS:
-    points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
-    for vertex in vertices:
-        points.append(vertex)
-    for face in faces.tolist():
-        triangles.append(coal.Triangle(*face))
-    model = coal.BVHModelOBBRSS()
-    model.beginModel(len(faces), len(vertices))
-    model.addSubModel(points, triangles)
-    model.endModel()
-    return model
-
-
-def _coal_shape(shape: Shape) -> coal.CollisionGeometry:
-    if isinstance(shape, Box):
-        return coal.Box(*(float(length) for length in shape.size))
-    if isinstance(shape, Cylinder):
-        return coal.Cylinder(shape.radius, shape.length)
-    return _coal_mesh(shape.vertices, shape.faces)

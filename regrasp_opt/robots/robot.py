@@ -12,13 +12,13 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-import coal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from regrasp_opt.conventions import JOINT_LIMIT_TOLERANCE, BoolArray, FloatArray
 from regrasp_opt.files import content_hash
+from regrasp_opt.geometry.shapes import geometry_parts
 from regrasp_opt.geometry.solids import Containment
 from regrasp_opt.robots.analytic import AnalyticIk
 from regrasp_opt.robots.ik import IkSolutions, InverseKinematics
@@ -216,25 +216,8 @@ class Robot:
         """Return a hash of what decides feasibility: joints, limits, collision bodies and tested pairs."""
         chain = self.chain
         bodies = [
-            [body.parentJoint, body.placement.homogeneous, _shape_parts(body.geometry)]
+            [body.parentJoint, body.placement.homogeneous, geometry_parts(body.geometry)]
             for body in self.collision.geometryObjects
         ]
         joints = [chain.placements, chain.axes, chain.prismatic, chain.tip, self.lower, self.upper]
         return content_hash("robot", joints, bodies, self.self_collision_pairs())
-
-
-def _shape_parts(shape: Any) -> list[Any]:
-    """Return the numbers that make up a Coal shape."""
-    kind = type(shape).__name__
-    if isinstance(shape, coal.Box):
-        return [kind, np.array(shape.halfSide)]
-    if isinstance(shape, coal.Sphere):
-        return [kind, float(shape.radius)]
-    if isinstance(shape, (coal.Cylinder, coal.Capsule)):
-        return [kind, float(shape.radius), float(shape.halfLength)]
-    triangles = [shape.tri_indices(i) for i in range(shape.num_tris)]
-    return [
-        kind,
-        np.array(shape.vertices()),
-        np.array([[t[0], t[1], t[2]] for t in triangles], dtype=np.int64),
-    ]

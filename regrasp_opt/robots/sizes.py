@@ -8,6 +8,7 @@ import numpy as np
 
 from regrasp_opt.errors import WorkcellError
 from regrasp_opt.geometry.mesh_files import LARGEST_MESH, unlikely_size
+from regrasp_opt.geometry.shapes import mesh_faces
 from regrasp_opt.geometry.solids import Solid
 from regrasp_opt.robots.robot import Robot
 from regrasp_opt.robots.urdf import parse_xml
@@ -38,7 +39,7 @@ def check_sizes(robot: Robot) -> None:
         number = int(item.name.rpartition("_")[2])
         where = f"{robot.urdf_path}: link '{link}', <collision> number {number + 1}"
         if solid.is_mesh:
-            points = np.array(item.geometry.vertices())[np.unique(solid.faces)]
+            points = np.array(item.geometry.vertices())[np.unique(mesh_faces(item.geometry))]
             wrong = unlikely_size(points, largest if item.parentJoint else LARGEST_MESH)
             if wrong is not None:
                 mesh = links[link].findall("collision")[number].find("geometry/mesh")

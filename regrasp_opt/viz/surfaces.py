@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 
 from regrasp_opt.conventions import FloatArray, IntArray
-from regrasp_opt.geometry.shapes import Box, Cylinder, Shape
+from regrasp_opt.geometry.shapes import Box, Cylinder, Shape, mesh_faces
 
 CREASE = np.radians(32.0)
 """Faces that meet at a sharper angle than this are drawn with an edge between them [rad]."""
@@ -74,8 +74,7 @@ def coal_surface(geometry: Any) -> Patch:
         return rounded_cylinder(geometry.radius, 2 * geometry.halfLength)
     if isinstance(geometry, coal.Capsule):
         return rounded_cylinder(geometry.radius, 2 * (geometry.halfLength + geometry.radius), geometry.radius)
-    triangles = [geometry.tri_indices(i) for i in range(geometry.num_tris)]
-    return Patch(np.array(geometry.vertices()), np.array([[t[0], t[1], t[2]] for t in triangles]))
+    return Patch(np.array(geometry.vertices()), mesh_faces(geometry))
 
 
 def _surface(mesh: trimesh.Trimesh) -> Patch:

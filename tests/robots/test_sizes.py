@@ -9,6 +9,7 @@ from arms import arm_urdf
 from dae_files import collada, triangles
 
 from regrasp_opt.errors import WorkcellError
+from regrasp_opt.geometry.shapes import mesh_faces
 from regrasp_opt.geometry.solids import Solid
 from regrasp_opt.robots import load_robot
 
@@ -77,7 +78,7 @@ def test_a_mirrored_mesh_is_not_inside_out(tmp_path, scale):
     write_mesh(tmp_path)
     (item,) = load(tmp_path, f'<mesh filename="part.stl" scale="{scale}"/>').collision.geometryObjects
     solid = Solid(item.geometry)
-    corners = np.array(item.geometry.vertices())[solid.faces]
+    corners = np.array(item.geometry.vertices())[mesh_faces(item.geometry)]
     assert np.linalg.det(corners).sum() / 6 == pytest.approx(BOX.volume)
     assert solid.holds(np.zeros((1, 3))) and not solid.holds(np.full((1, 3), 0.3))
 
