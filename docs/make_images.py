@@ -149,7 +149,7 @@ def draw_sweep(problem: RegraspProblem) -> None:
 def main() -> None:
     """Write pictures of a plan: its steps, the page, candidates by iteration, its grasps and its cost."""
     plan = solve()
-    trace = trace_candidates(plan, Recipe(NlpRefiner(), starts="random", batches=(12,), proved=12))
+    trace = trace_candidates(plan, Recipe(NlpRefiner(), starts="random", batches=(12,), verified=12))
     print(plan.status.name, np.round(plan.xi, 3).tolist())
     IMAGES.mkdir(exist_ok=True)
     draw_energy(plan.problem).savefig(IMAGES / "energy.png", dpi=100)

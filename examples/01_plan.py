@@ -15,4 +15,4 @@ for i, transition in enumerate(plan.transitions):
     print(f"move {i}: grasp {transition.grasp_ids[best]} of {len(transition.grasp_ids)} shared ones")
     print("  pick  at joints", transition.q_pick[best].round(2), "rad")
     print("  place at joints", transition.q_place[best].round(2), "rad")
-print("proved again:", plan.residuals().hold)
+print("verified again:", plan.residuals().hold)

@@ -1,6 +1,6 @@
 """The same tasks by the paper's Langevin dynamics, by Ipopt, and by the lattice alone, as a table and as a plot.
 
-All three prove what they return; they differ in where candidates come from and how they are refined. The plot,
+All three verify what they return; they differ in where candidates come from and how they are refined. The plot,
 langevin_against_ipopt.html, shows the cost by iteration of both refiners from the same random starts on one task:
 `python examples/03_langevin_against_ipopt.py [TASKS]`.
 """

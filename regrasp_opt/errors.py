@@ -41,7 +41,7 @@ class MeshError(RegraspError):
 
 
 class PoseError(RegraspError):
-    """An object pose that is no rigid transform, or that the object cannot have in this workcell."""
+    """An object pose that is not a rigid transform, or that the object cannot have in this workcell."""
 
 
 class WorkcellError(RegraspError):

@@ -36,7 +36,7 @@ MIDDLE = 1500
 RANKED = 5_000
 """Chains among which the start points are chosen."""
 LEAST_CHANCE = 1e-5
-"""Probability that a pair shares a grasp, by the energies, below which its chain is not worth refining or proving.
+"""Probability that a pair shares a grasp, by the energies, below which its chain is not worth refining or verifying.
 
 Of lattice chains that hold, the least had 1e-3; where a number of regrasps cannot work, all have a pair at about 1e-9.
 """

@@ -227,7 +227,7 @@ def check(
     plan: PlanArgument,
     json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
 ) -> int:
-    """Prove a saved plan again from problem data alone; exit 1 and name the transition if a claim does not hold.
+    """Verify a saved plan again from problem data alone; exit 1 and name the transition if a claim does not hold.
 
     Example:
 
@@ -251,7 +251,7 @@ def motion(
     seed: SeedOption = 0,
     json: Annotated[bool, typer.Option("--json", help="Print a summary as one JSON object.")] = False,
 ) -> int:
-    """Plan the arm's motion for a saved plan: joint trajectories, proved free of collision over their whole length.
+    """Plan the arm's motion for a saved plan: joint trajectories, verified free of collision over their whole length.
 
     Example:
 

@@ -57,7 +57,7 @@ def write_bench_plots(report: Report, folder: Path) -> list[Path]:
                 times.setdefault(row[key], []).append(row["first_proof"] if row["solved"] else None)
         if not any(row["solved"] for row in measured):
             return []
-        return _write([("anytime", plot_anytime(times, f"{report.title}: pairs proved over time", limit))], folder)
+        return _write([("anytime", plot_anytime(times, f"{report.title}: pairs verified over time", limit))], folder)
     return []
 
 

@@ -123,7 +123,7 @@ def load_end_effector(name_or_path: str | os.PathLike[str]) -> EndEffector:
     UnknownNameError
         If the string is neither a built-in name nor a path.
     WorkcellError
-        If the file is missing or is no TOML, or holds a wrong key or value; the message names
+        If the file is missing or is not TOML, or holds a wrong key or value; the message names
         the file, the key and what is allowed.
     """
     if isinstance(name_or_path, str) and name_or_path in END_EFFECTOR_NAMES:

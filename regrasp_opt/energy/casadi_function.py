@@ -66,7 +66,7 @@ def by_adjoint(
     Parameters
     ----------
     inputs, jacobian
-        As of `by_jacobian`.
+        Same as in `by_jacobian`.
     seed : symbol
         Of the shape of `value`, the adjoint's last argument.
     adjoint : mapping

@@ -62,7 +62,7 @@ def load_energy(path: str | os.PathLike[str]) -> EnergyModel:
 
 def _assemble(header: Any, arrays: dict[str, Any], path: Path) -> EnergyModel:
     if not isinstance(header, dict) or header.get("format") != FORMAT:
-        raise ModelError(f"'{path}' is no model of format {FORMAT}; make it again with 'regrasp-opt prepare'")
+        raise ModelError(f"'{path}' is not a model of format {FORMAT}; make it again with 'regrasp-opt prepare'")
     try:
         layers = range(int(header["layers"]))
         model = EnergyModel(

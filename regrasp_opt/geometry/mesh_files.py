@@ -54,7 +54,7 @@ def read_triangles(path: Path) -> tuple[FloatArray, IntArray]:
         away, or triangles of vertices that it does not hold.
     """
     if path.suffix.lower() not in MESH_SUFFIXES:
-        raise MeshError(f"{path} is no mesh file that can be read; give one of {', '.join(MESH_SUFFIXES)}")
+        raise MeshError(f"{path} is not a mesh file that can be read; give one of {', '.join(MESH_SUFFIXES)}")
     if not os.path.isfile(path):
         raise MeshError(f"mesh file {path} does not exist; give the path of an STL, OBJ, PLY, GLB or DAE file")
     try:

@@ -84,7 +84,7 @@ class GraspSet:
         return content_hash("grasps", self.kind, self.T_object_tcp, self.width)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the set to the ``.npz`` file `path`, whole or not at all."""
+        """Write the set to the ``.npz`` file `path`, atomically."""
         with atomic_path(path) as temporary, temporary.open("wb") as file:
             np.savez(file, T_object_tcp=self.T_object_tcp, width=self.width, kind=np.array(self.kind))
 

@@ -65,7 +65,7 @@ class GraspProjector:
         Parameters
         ----------
         grade : int
-            Worst grade of seal that is accepted, as of `regrasp_opt.grasps.suction`; parallel grasps have none.
+            Worst grade of seal that is accepted, same as in `regrasp_opt.grasps.suction`; parallel grasps have none.
         """
         T = np.array(T_object_tcp, dtype=np.float64).reshape(-1, 4, 4)
         settled, width, source = self._gripped(T) if self._effector.kind == "parallel" else self._sealed(T, grade)

@@ -34,7 +34,7 @@ class Phase(Enum):
 class MotionStatus(Enum):
     """How motion planning ended; the value is the sentence to show, and says what to try next."""
 
-    SOLVED = "solved: every segment was proved free of collision and within the joint limits"
+    SOLVED = "solved: every segment was verified free of collision and within the joint limits"
     NO_PLAN = "the regrasp plan is not solved, so there is nothing to move; plan again first"
     HOME_BLOCKED = "the home configuration collides; choose another home, or None"
     NO_MOTION = (

@@ -1,4 +1,4 @@
-"""From a problem to a proved plan: `RegraspProblem`, `solve_sequence`, `RegraspPlan` and `prepare`."""
+"""From a problem to a verified plan: `RegraspProblem`, `solve_sequence`, `RegraspPlan` and `prepare`."""
 
 from regrasp_opt.planning.plan import RegraspPlan
 from regrasp_opt.planning.plan_data import Status, Transition

@@ -17,10 +17,10 @@ class RegraspPlan(PlanData):
     Attributes
     ----------
     status : Status
-        SOLVED only if every transition was proved by inverse kinematics and collision checks.
+        SOLVED only if every transition was verified by inverse kinematics and collision checks.
     poses : (N+2, 4, 4) float64
         T_world_object of start, N intermediate poses and goal. Without a plan: start and goal, and after a time limit
-        the cheapest unproved candidate between them.
+        the cheapest unverified candidate between them.
     placements : (N,) int
         Numbers into ``problem.placements`` of the intermediate poses.
     xi : (N, 3) float64

@@ -1,4 +1,4 @@
-"""What a regrasp plan holds: the poses, and for each move between neighbours every grasp that was proved at both."""
+"""What a regrasp plan holds: the poses, and for each move between neighbours every grasp that was verified at both."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from regrasp_opt.planning.problem import RegraspProblem
 class Status(Enum):
     """How planning ended; the value says so, and what to try next. `RegraspPlan.message` says more about ends."""
 
-    SOLVED = "solved: every transition has a grasp that was proved reachable and free of collision at both poses"
+    SOLVED = "solved: every transition has a grasp that was verified reachable and free of collision at both poses"
     START_INFEASIBLE = "no grasp is feasible at the start pose"
     GOAL_INFEASIBLE = "no grasp is feasible at the goal pose"
     NOT_FOUND = "no plan was found; allow more regrasps, give more grasps, or try refiner 'ipopt' with another seed"
@@ -24,7 +24,7 @@ class Status(Enum):
 
 @dataclass(frozen=True)
 class Transition:
-    """One pick-and-place between neighbouring poses, with all grasps that were proved at both (K of them).
+    """One pick-and-place between neighbouring poses, with all grasps that were verified at both (K of them).
 
     Attributes
     ----------

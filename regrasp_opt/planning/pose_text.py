@@ -42,7 +42,7 @@ def parse_pose(text: str, name: str, placements: FloatArray) -> FloatArray:
         x, y, degrees = (float(value) for value in match.groups()[1:])
     except ValueError as error:
         raise PoseError(
-            f"the {name} '{text}' holds something that is no number; write it like 2:0.30,0.25,45"
+            f"the {name} '{text}' holds something that is not a number; write it like 2:0.30,0.25,45"
         ) from error
     if not all(math.isfinite(v) for v in (x, y, degrees)):
         raise PoseError(f"the {name} '{text}' holds NaN or infinity; write it like 2:0.30,0.25,45")

@@ -81,7 +81,7 @@ class RegraspProblem(ProblemData):
             those that are left out, as does `left_out`; grasp ids of plans number the rest. Grasps of a `model` that
             is named are tested as well.
         scale, repair
-            As of `load_object`.
+            Same as in `load_object`.
         preset : {"default", "paper"}
             Which of the prepared energies to plan with.
 

@@ -121,6 +121,6 @@ class ProblemData:
         Raises
         ------
         PoseError
-            If `T` is no rigid transform.
+            If `T` is not a rigid transform.
         """
         return self.checker.feasible(as_pose(T))

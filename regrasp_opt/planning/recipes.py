@@ -8,7 +8,7 @@ checks, ``paper`` its Algorithms 1 and 2 as they stand, which accept by the thre
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import InitVar, dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -27,9 +27,9 @@ from regrasp_opt.solvers import (
 )
 
 FIRST_STARTS, REFINED_STARTS = 2, 6
-"""Start points that are refined first, and in all if none of those is proved, for each N."""
-PROVED_CHAINS = 400
-"""Lattice chains that are proved unrefined for each N if no refined one was."""
+"""Start points that are refined first, and in all if none of those is verified, for each N."""
+VERIFIED_CHAINS = 400
+"""Lattice chains that are verified unrefined for each N if no refined one was."""
 LANGEVIN_SAMPLES = 256
 """Chains of the short Langevin run that makes start points."""
 
@@ -46,13 +46,13 @@ class Recipe:
         (Alg. 1, line 2).
     batches : tuple of int
         How many start points are refined and checked at a time, until a candidate is accepted.
-    proved : int
+    verified : int
         Candidates of a batch that are checked at most, the cheapest first (``K_top`` of Alg. 2).
     fallback : int
         Lattice chains that are checked as they are, if no refined candidate was accepted.
-    check : {"proof", "threshold"}
-        Accept the first candidate that is proved; or, as the paper does, the cheapest that passes the energy
-        threshold `h` (Alg. 2), which is then proved once: if that fails there is no plan.
+    check : {"verification", "threshold"}
+        Accept the first candidate that is verified; or, as the paper does, the cheapest that passes the energy
+        threshold `h` (Alg. 2), which is then verified once: if that fails there is no plan.
     knowledge : {"exact", "learned"}
         What the cost knows of start, goal and table: the exact grasps at both ends and those that the table rules out,
         or learned energies alone, as in the paper.
@@ -61,14 +61,17 @@ class Recipe:
     refiner: Refiner
     starts: Literal["lattice", "langevin", "random"] = "lattice"
     batches: tuple[int, ...] = (FIRST_STARTS, REFINED_STARTS - FIRST_STARTS)
-    proved: int = REFINED_STARTS
-    fallback: int = PROVED_CHAINS
-    check: Literal["proof", "threshold"] = "proof"
+    verified: int = REFINED_STARTS
+    fallback: int = VERIFIED_CHAINS
+    check: Literal["verification", "threshold"] = "verification"
     knowledge: Literal["exact", "learned"] = "exact"
+    proved: InitVar[int | None] = None  # the name of `verified` until 0.1; goes with 0.3
 
-    def __post_init__(self) -> None:
-        if not self.batches or min(self.batches) < 1 or self.proved < 1 or self.fallback < 0:
-            raise OptionError("a recipe needs batches and proved of at least 1, and a fallback of at least 0")
+    def __post_init__(self, proved: int | None) -> None:
+        if proved is not None:
+            object.__setattr__(self, "verified", proved)
+        if not self.batches or min(self.batches) < 1 or self.verified < 1 or self.fallback < 0:
+            raise OptionError("a recipe needs batches and verified of at least 1, and a fallback of at least 0")
 
     def start_points(
         self,
@@ -103,7 +106,7 @@ def paper_recipe(k_top: int) -> Recipe:
         LangevinRefiner(keep_best=False),
         starts="random",
         batches=(1000,),
-        proved=k_top,
+        verified=k_top,
         fallback=0,
         check="threshold",
         knowledge="learned",
@@ -113,8 +116,8 @@ def paper_recipe(k_top: int) -> Recipe:
 RECIPES: dict[str, Callable[[], Recipe]] = {
     "ipopt": lambda: Recipe(NlpRefiner()),
     "langevin-ipopt": lambda: Recipe(NlpRefiner(), starts="langevin", fallback=0),
-    "lattice": lambda: Recipe(LatticeRefiner(), batches=(PROVED_CHAINS,), proved=PROVED_CHAINS, fallback=0),
-    "langevin": lambda: Recipe(LangevinRefiner(), starts="random", batches=(1000,), proved=50, fallback=0),
+    "lattice": lambda: Recipe(LatticeRefiner(), batches=(VERIFIED_CHAINS,), verified=VERIFIED_CHAINS, fallback=0),
+    "langevin": lambda: Recipe(LangevinRefiner(), starts="random", batches=(1000,), verified=50, fallback=0),
     "paper": lambda: paper_recipe(50),
 }
 

@@ -1,8 +1,8 @@
 """`solve_sequence`: the fewest intermediate poses such that all neighbours share a grasp (Alg. 1, with hard checks).
 
-For N = 0, 1, ... the start points of a recipe are refined, ranked by ``J_seq`` and proved in that order; the first
-proof ends the search. A refiner is local, so with lattice starts the best lattice chains are then proved as they are
-before N grows.
+For N = 0, 1, ... the start points of a recipe are refined, ranked by ``J_seq`` and verified in that order; the first
+that holds ends the search. A refiner is local, so with lattice starts the best lattice chains are then verified as they
+are before N grows.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from regrasp_opt.planning.plan import RegraspPlan
 from regrasp_opt.planning.plan_data import Status
 from regrasp_opt.planning.problem import RegraspProblem
 from regrasp_opt.planning.recipes import Recipe, as_recipe
-from regrasp_opt.planning.verification import PoseFeasibility, enumerate_transition, prove_sequence
+from regrasp_opt.planning.verification import PoseFeasibility, enumerate_transition, verify_sequence
 from regrasp_opt.solvers import Candidates, Refiner
 from regrasp_opt.threads import one_blas_thread
 
@@ -60,16 +60,16 @@ def solve_sequence(
         The same seed gives the same plan on the same machine.
     time_limit : float, optional
         Seconds after which the search gives up between two candidates; the plan then holds the poses of the cheapest
-        candidate so far, unproved and without transitions.
+        candidate so far, unverified and without transitions.
     options : CostOptions, optional
         Parameters of ``J_seq``; the paper's by default.
     accept : callable, optional
-        Is shown each proved plan; where it returns False, the search goes on with the next candidate.
+        Is shown each verified plan; where it returns False, the search goes on with the next candidate.
 
     Returns
     -------
     RegraspPlan
-        Its status says how planning ended; SOLVED means that every transition was proved.
+        Its status says how planning ended; SOLVED means that every transition was verified.
 
     Raises
     ------
@@ -190,29 +190,29 @@ class _Search:
                 refined = recipe.refiner.refine(objective, starts, rng)
             entry = {"num_regrasps": num_regrasps, "refiner": recipe.refiner.name, **refined.stats}
             self.stats.append(entry)
-            ranked = refined.candidates.best(recipe.proved)
+            ranked = refined.candidates.best(recipe.verified)
             if len(ranked) and (self.cheapest is None or ranked.cost[0] < self.cheapest.cost[0]):
                 self.cheapest = ranked.take(slice(0, 1))
             if recipe.check == "threshold":
                 return self._by_threshold(objective, ranked, entry)
-            found = self._first_proved(objective, ranked, entry)
+            found = self._first_verified(objective, ranked, entry)
             if found is not None or self.clock.over:
                 return found
         if not recipe.fallback:
             return None
         entry = {"num_regrasps": num_regrasps, "refiner": "lattice"}
         self.stats.append(entry)
-        return self._first_proved(objective, chains.take(slice(0, recipe.fallback)), entry)
+        return self._first_verified(objective, chains.take(slice(0, recipe.fallback)), entry)
 
-    def _first_proved(
+    def _first_verified(
         self, objective: SequenceObjective, candidates: Candidates, entry: dict[str, Any]
     ) -> RegraspPlan | None:
-        """Return the plan of the first candidate that is proved, or None; record its rank in `entry`."""
+        """Return the plan of the first candidate that is verified, or None; record its rank in `entry`."""
         for index in range(len(candidates)):
             if self.clock.over:
                 return None
             with self.clock.timed("verify"):
-                chain = self._prove(objective, candidates, index)
+                chain = self._verify(objective, candidates, index)
             if chain is None:
                 continue
             plan = self._plan(objective, candidates, index, chain)
@@ -239,7 +239,7 @@ class _Search:
             return None
         index = int(passing[0])
         with self.clock.timed("verify"):
-            chain = self._prove(objective, candidates, index)
+            chain = self._verify(objective, candidates, index)
         if chain is None:
             return self.result(Status.NOT_FOUND)
         plan = self._plan(objective, candidates, index, chain)
@@ -254,7 +254,7 @@ class _Search:
         summed = energies[:, :-1] + energies[:, 1:]
         return (summed <= self.problem.energy.model.threshold).any(axis=2).all(axis=1)
 
-    def _prove(self, objective: SequenceObjective, candidates: Candidates, index: int) -> list[PoseFeasibility] | None:
+    def _verify(self, objective: SequenceObjective, candidates: Candidates, index: int) -> list[PoseFeasibility] | None:
         xi = candidates.xi[index]
         low, high = objective.bounds
         inside = np.isfinite(xi).all() and (xi[:, :2] >= low - 1e-9).all() and (xi[:, :2] <= high + 1e-9).all()
@@ -266,7 +266,7 @@ class _Search:
             return None
         energies = objective.chain(objective.energies(candidates.placements[index], xi)[None])[0]
         chain = [self.ends[0], *middle, self.ends[1]]
-        return chain if prove_sequence(chain, energies) else None
+        return chain if verify_sequence(chain, energies) else None
 
     def _knowledge(self, T: FloatArray) -> PoseFeasibility:
         """Return what is known about pose `T`; chains of lattice poses have many poses in common."""

@@ -63,7 +63,7 @@ def share_a_grasp(a: PoseFeasibility, b: PoseFeasibility, promise: FloatArray) -
     return False
 
 
-def prove_sequence(poses: list[PoseFeasibility], energies: FloatArray) -> bool:
+def verify_sequence(poses: list[PoseFeasibility], energies: FloatArray) -> bool:
     """Return whether every neighbouring pair of `poses` shares a grasp; `energies` (N+2, G) say where to look first.
 
     The two ends come first: their feasible grasps are known, so they reject for the fewest checks.
@@ -125,4 +125,4 @@ def _nearest_free_pair(
         i, j = divmod(index, len(place[0]))
         if pick[1](i) and place[1](j):
             return pick[0][i], targets[i, j]
-    raise AssertionError("a grasp that was proved feasible at both poses has no free pair of configurations")
+    raise AssertionError("a grasp that was verified feasible at both poses has no free pair of configurations")

@@ -84,7 +84,7 @@ def load_robot(
     UnknownNameError
         If the string is neither a built-in name nor a path.
     WorkcellError
-        If the URDF cannot be read or is no serial arm on a fixed base, or `tip`, `home` or a link does not
+        If the URDF cannot be read or is not a serial arm on a fixed base, or `tip`, `home` or a link does not
         fit it.
     """
     ignored = frozenset(frozenset(pair) for pair in ignore_collisions)

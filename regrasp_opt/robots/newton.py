@@ -79,7 +79,7 @@ def astride(chain: SerialChain, q: FloatArray, step: float) -> FloatArray:
 def _descend(
     chain: SerialChain, goal: FloatArray, q: FloatArray, steps: int, limits: Limits | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Do the steps of `descend` for one piece, `q` (dof, B) and `goal` as of `_goal`."""
+    """Do the steps of `descend` for one piece, `q` (dof, B) and `goal` same as in `_goal`."""
     moved, errors, live = q.copy(), np.full(q.shape[1], np.inf), np.arange(q.shape[1])
     damping = np.ones(q.shape[1])
     error, J = _error(chain, goal, q)

@@ -96,12 +96,12 @@ def plot_cost_sweep(rows: Sequence[Mapping[str, Any]], title: str) -> Any:
 
 
 def plot_anytime(times: Mapping[str, Sequence[float | None]], title: str, limit: float | None = None) -> Any:
-    """Return a matplotlib figure of the share of pairs with a proved plan over time.
+    """Return a matplotlib figure of the share of pairs with a verified plan over time.
 
     Parameters
     ----------
     times : mapping
-        For each curve, by name, the seconds to the first proved plan of every pair; None where none was found.
+        For each curve, by name, the seconds to the first verified plan of every pair; None where none was found.
     title : str
     limit : float, optional
         Seconds after which planners gave up; the curves run to there.
@@ -125,7 +125,7 @@ def plot_anytime(times: Mapping[str, Sequence[float | None]], title: str, limit:
     ax.set_xlim(begin, end)
     ax.set_ylim(0, 102)
     ax.set_xlabel("time [s]")
-    ax.set_ylabel("pairs with a proved plan [%]")
+    ax.set_ylabel("pairs with a verified plan [%]")
     ax.set_title(title)
     ax.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure

@@ -123,7 +123,7 @@ def test_running_out_of_memory_is_one_line(refuse, monkeypatch):
 def test_a_folder_of_broken_meshes(refuse, tmp_path):
     (tmp_path / "meshes").mkdir()
     refuse("holds no mesh", "bench", "one-step", "--objects", "meshes", "--out", "results")
-    refuse("is no folder", "bench", "one-step", "--objects", "none", "--out", "results")
+    refuse("is not a folder", "bench", "one-step", "--objects", "none", "--out", "results")
 
 
 def test_plans_and_motions_that_cannot_be_read(refuse, tmp_path):

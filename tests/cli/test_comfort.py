@@ -132,7 +132,7 @@ def test_show_writes_a_page(capsys, tmp_path):
     assert (outcome.code, outcome.out, outcome.err) == (0, f"written: {page}\n", "")
     assert "bottle in nova2-w" in page.read_text("utf-8")
     assert in_process(capsys, "show", tmp_path / "none.json").code == 2
-    assert_refused(in_process(capsys, "show", plan, "--motion", plan, "--html", page), "is no motion of schema")
+    assert_refused(in_process(capsys, "show", plan, "--motion", plan, "--html", page), "is not a motion of schema")
 
 
 def test_show_writes_candidates_and_plots(capsys, tmp_path):

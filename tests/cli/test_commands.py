@@ -78,7 +78,7 @@ def test_refiners_by_name(capsys, refiner):
     assert in_process(capsys, "plan", "--refiner", refiner, "--json").data["status"] == "solved"
 
 
-def test_check_proves_a_saved_plan(capsys, saved):
+def test_check_verifies_a_saved_plan(capsys, saved):
     outcome = in_process(capsys, "check", saved)
     assert outcome.code == 0 and outcome.err == "" and "holds" in outcome.out
     data = in_process(capsys, "check", saved, "--json").data
@@ -170,7 +170,7 @@ def test_version(capsys):
         (("plan", "--start", "somewhere"), "the start 'somewhere' is no pose"),
         (("plan", "--goal", "9:0.2,0.3,0"), "the goal names placement 9; this object has placements 0 to 4"),
         (("plan", "--goal", "0:nan,0.3,0"), "holds NaN"),
-        (("plan", "--goal", "0:a,0.3,0"), "is no number"),
+        (("plan", "--goal", "0:a,0.3,0"), "is not a number"),
         (("plan", "--start", "0:0.9,0.3,0"), "the start pose is outside the workspace"),
         (("plan", "--max-regrasps", "-1"), "max_regrasps is -1"),
         (("plan", "--max-regrasps", "9"), "max_regrasps is 9"),

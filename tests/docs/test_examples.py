@@ -28,11 +28,11 @@ def rows(text, pattern):
     return re.findall(pattern, text, re.M)
 
 
-def test_a_plan_is_printed_and_proved(output):
+def test_a_plan_is_printed_and_verified(output):
     text = output("01_plan.py")
     assert text.startswith("SOLVED: 1 regrasp(s)")
     assert len(rows(text, r"^move \d")) == 2
-    assert text.endswith("proved again: True\n")
+    assert text.endswith("verified again: True\n")
 
 
 def test_an_own_mesh_and_an_own_robot_are_planned_and_shown(output, tmp_path):

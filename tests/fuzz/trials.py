@@ -29,7 +29,7 @@ from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.files import atomic_path
 from regrasp_opt.geometry.shapes import Box
 from regrasp_opt.planning import Recipe, RegraspPlan, RegraspProblem, solve_sequence
-from regrasp_opt.planning.verification import PoseFeasibility, prove_sequence
+from regrasp_opt.planning.verification import PoseFeasibility, verify_sequence
 from regrasp_opt.scene import Workcell, load_workcell
 from regrasp_opt.solvers import Candidates, NlpRefiner, RecordingRefiner
 
@@ -167,7 +167,7 @@ def _low_energy(problem: RegraspProblem, instance: Instance, kept: list[Candidat
             low += 1
             chain = [knowledge(T) for T in poses]
             blocked = any(pose.object_collides for pose in chain[1:-1])
-            failed += blocked or not prove_sequence(chain, energies)
+            failed += blocked or not verify_sequence(chain, energies)
     return low, failed
 
 

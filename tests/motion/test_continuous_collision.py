@@ -1,10 +1,10 @@
-"""The proof of trajectories: nothing thin is missed, and the bound on motion between samples holds."""
+"""The verification of trajectories: nothing thin is missed, and the bound on motion between samples holds."""
 
 import numpy as np
 import pytest
 
 from regrasp_opt.motion.trajectory.collision_context import LEVELS, CollisionContext, MotionScene
-from regrasp_opt.motion.trajectory.continuous_collision import _spread, prove
+from regrasp_opt.motion.trajectory.continuous_collision import _spread, verify
 from regrasp_opt.motion.trajectory.time_parameterization import rest_to_rest
 from regrasp_opt.motion.trajectory.trajectory import Trajectory
 
@@ -22,8 +22,8 @@ def rail(a, b):
     return rest_to_rest(np.array([a]), np.array([b]), np.ones(1), np.ones(1))
 
 
-def test_a_free_way_is_proved_with_few_tests():
-    result = prove(point_setting([2.0]), rail(0.0, 1.0))
+def test_a_free_way_is_verified_with_few_tests():
+    result = verify(point_setting([2.0]), rail(0.0, 1.0))
     assert result.holds and np.isnan(result.time)
     assert result.tests <= 2.0 / LEVELS[0]
 
@@ -31,15 +31,15 @@ def test_a_free_way_is_proved_with_few_tests():
 @pytest.mark.parametrize("place", np.linspace(0.11, 0.97, 7))
 def test_an_obstacle_of_no_width_is_found(place):
     way = rail(0.0, 1.0)
-    result = prove(point_setting([place]), way)
+    result = verify(point_setting([place]), way)
     assert not result.holds
     assert way.at(result.time)[0] == pytest.approx(place, abs=LEVELS[0])
 
 
-def test_a_near_miss_is_proved_by_bisection():
-    near = prove(point_setting([1.0 + 1e-4]), rail(0.0, 1.0))
-    assert near.holds and near.tests > prove(point_setting([2.0]), rail(0.0, 1.0)).tests
-    assert not prove(point_setting([1.0 + 2e-5]), rail(0.0, 1.0)).holds
+def test_a_near_miss_is_verified_by_bisection():
+    near = verify(point_setting([1.0 + 1e-4]), rail(0.0, 1.0))
+    assert near.holds and near.tests > verify(point_setting([2.0]), rail(0.0, 1.0)).tests
+    assert not verify(point_setting([1.0 + 2e-5]), rail(0.0, 1.0)).holds
 
 
 def test_an_excursion_between_knots_is_found():
@@ -47,8 +47,8 @@ def test_an_excursion_between_knots_is_found():
     loop = Trajectory(np.array([0.0, 1.0]), np.zeros((2, 1)), np.array([[4.0], [4.0]]))
     swing = np.abs(loop.at(np.linspace(0, 1, 1001))).max()
     assert swing > 0.3
-    assert not prove(point_setting([0.3]), loop).holds
-    assert prove(point_setting([swing + 0.01, -swing - 0.01]), loop).holds
+    assert not verify(point_setting([0.3]), loop).holds
+    assert verify(point_setting([swing + 0.01, -swing - 0.01]), loop).holds
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 8, 9, 100])

@@ -1,4 +1,4 @@
-"""What stands still in a robot's URDF is an obstacle, to checks, proofs, motions and programs, as a workcell's is."""
+"""What stands still in a robot's URDF is an obstacle to checks, certificates, motions and programs alike."""
 
 from dataclasses import replace
 
@@ -57,7 +57,7 @@ def test_a_post_of_the_urdf_is_what_an_obstacle_is(problems, bottle_plan):
     rng = np.random.default_rng(0)
     q_pick, grasp = bottle_plan.transitions[0].q_pick[0], int(bottle_plan.transitions[0].grasp_ids[0])
     robot, T = problems[0].workcell.robot, bottle_plan.poses[0]
-    scenes, proofs = [MotionScene(p) for p in problems], [_Scene(p) for p in problems]
+    scenes, verifications = [MotionScene(p) for p in problems], [_Scene(p) for p in problems]
     settings = [(scene.beside(T, (0.02, 0.06)), scene.holding(grasp)) for scene in scenes]
     rows = [configuration_rows(p) for p in problems]
     outcomes = []
@@ -65,10 +65,10 @@ def test_a_post_of_the_urdf_is_what_an_obstacle_is(problems, bottle_plan):
         q = np.clip(q_pick + rng.normal(size=6) * rng.choice([0.2, 0.6, 1.5]), robot.lower, robot.upper)
         free = [p.checker.is_free(T, grasp, q) for p in problems]
         clearances = [p.checker.clearance(T, grasp, q) for p in problems]
-        proved = [proof.margins(*proof.arm_at(q), T, grasp)[:2] for proof in proofs]
+        verified = [verification.margins(*verification.arm_at(q), T, grasp)[:2] for verification in verifications]
         assert free[0] == free[1] and clearances[0] == pytest.approx(clearances[1], abs=1e-9)
-        np.testing.assert_allclose(*proved, atol=1e-9)
-        assert free[0] or proved[0][0] < 1e-6  # which looks at gripper and object too
+        np.testing.assert_allclose(*verified, atol=1e-9)
+        assert free[0] or verified[0][0] < 1e-6  # which looks at gripper and object too
         for level in (0, len(LEVELS) - 1):
             moving = [[setting.passes(q, level) for setting in pair] for pair in settings]
             assert moving[0] == moving[1]
@@ -76,7 +76,7 @@ def test_a_post_of_the_urdf_is_what_an_obstacle_is(problems, bottle_plan):
         for measured in (True, False):
             least = [m[r.measured == measured].min() for m, r in zip(margins, rows, strict=True)]
             assert least[0] == pytest.approx(least[1], abs=1e-9)
-        post = "post" in str(proofs[0].margins(*proofs[0].arm_at(q), T, grasp)[2])
+        post = "post" in str(verifications[0].margins(*verifications[0].arm_at(q), T, grasp)[2])
         outcomes.append("free" if free[0] else "post" if post else "other")
     assert min(outcomes.count("free"), outcomes.count("post")) > 5
 

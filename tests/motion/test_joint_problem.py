@@ -1,4 +1,4 @@
-"""The joint problem: its choice held to brute force, its results proved, and failures that leave the plan alone."""
+"""The joint problem: its choice held to brute force, its results verified, and failures that leave the plan alone."""
 
 import itertools
 from dataclasses import replace
@@ -175,7 +175,7 @@ def test_a_plan_without_regrasps_is_refined_as_well(bottle_problem):
     assert result.plan.residuals().hold and result.plan.cost == pytest.approx(direct.cost)
 
 
-def test_the_refined_plan_travels_less_and_is_proved(plan, refined, tmp_path):
+def test_the_refined_plan_travels_less_and_is_verified(plan, refined, tmp_path):
     assert refined.reason == "" and refined.plan is not plan
     assert refined.after.travel < refined.discrete.travel < refined.before.travel
     assert refined.plan.num_regrasps == plan.num_regrasps
@@ -258,14 +258,14 @@ def test_a_refusal_by_the_exact_check_leaves_the_poses_as_they_were(plan, monkey
     assert result.stats[0]["status"] == "Solve_Succeeded"
 
 
-def test_a_refusal_by_the_final_proof_leaves_the_plan_as_it_was(plan, monkeypatch):
+def test_a_refusal_by_the_final_verification_leaves_the_plan_as_it_was(plan, monkeypatch):
     residuals = RegraspPlan.residuals
     monkeypatch.setattr(
         RegraspPlan, "residuals", lambda self: replace(residuals(self), problems=("pose 1 lies outside the workspace",))
     )
     result = refine_plan(plan, options=SHORT)
     assert result.plan is plan
-    assert result.reason == "the refined plan is refused by the final proof: pose 1 lies outside the workspace"
+    assert result.reason == "the refined plan is refused by the final verification: pose 1 lies outside the workspace"
 
 
 def test_a_short_step_is_taken_where_the_whole_one_is_refused(plan, monkeypatch):

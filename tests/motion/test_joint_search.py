@@ -21,7 +21,7 @@ def search(bottle_plan):
     return JointSearch(bottle_plan, "travel", MeasureBounds(), None, SHORT)
 
 
-def test_the_plans_own_choice_is_proved(search, bottle_plan):
+def test_the_plans_own_choice_is_verified(search, bottle_plan):
     found = search._candidate(bottle_plan.xi, first_choice(bottle_plan))
     assert found is not None and search.problem_found == "" and found.measures.clearance > 0
 

@@ -16,7 +16,7 @@ from regrasp_opt.motion.trajectory import together as together_module
 from regrasp_opt.motion.trajectory.connector import Connector
 from regrasp_opt.solvers import LatticeRefiner
 
-FEW = Recipe(LatticeRefiner(), batches=(5,), proved=5, fallback=0)
+FEW = Recipe(LatticeRefiner(), batches=(5,), verified=5, fallback=0)
 """Five candidates and no more."""
 
 SEVEN = [Phase.APPROACH, Phase.GRASP, Phase.LIFT, Phase.TRANSFER, Phase.LOWER, Phase.RELEASE, Phase.RETREAT]

@@ -26,7 +26,7 @@ def test_a_way_around_is_found_and_free(seed):
     corners = polyline(wall(0.3), START, GOAL, LIMITS, np.random.default_rng(seed), iterations=500)
     assert np.array_equal(corners[[0, -1]], [START, GOAL])
     for a, b in itertools.pairwise(corners):
-        # edges are sampled, so half a spacing of the wall's edge may be cut off; the proof does not allow that
+        # edges are sampled, so half a spacing of the wall's edge may be cut off; the verification does not allow that
         inner = wall(0.3 + SPACING / 2, 0.2 - SPACING)
         assert all(inner.passes(a + u * (b - a), 0) for u in np.linspace(0, 1, 400))
     assert ((corners >= LIMITS[0]) & (corners <= LIMITS[1])).all()

@@ -1,4 +1,4 @@
-"""Motions without stops: shorter, within limits, proved; and as they were where that fails."""
+"""Motions without stops: shorter, within limits, verified; and as they were where that fails."""
 
 import itertools
 from dataclasses import replace
@@ -91,7 +91,7 @@ def test_lines_stay_straight_for_half_their_length(motion, stopping):
         assert p[-1] @ along >= min(0.5 * np.linalg.norm(whole), 0.03) - 1e-6
 
 
-def test_what_cannot_be_proved_stays_as_it_was(bottle_plan, stopping, monkeypatch):
+def test_what_cannot_be_verified_stays_as_it_was(bottle_plan, stopping, monkeypatch):
     """Only the motions of the optimisation are refused: they come last."""
     original = planner.shortened
 

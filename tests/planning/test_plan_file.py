@@ -169,7 +169,7 @@ def test_wrong_content_is_named(name, plan_content, tmp_path):
     assert re.search(said, message), message
 
 
-def test_a_transition_without_grasps_is_read_and_refused_by_the_proof(plan_content, tmp_path):
+def test_a_transition_without_grasps_is_read_and_refused_by_the_verification(plan_content, tmp_path):
     content = copy.deepcopy(plan_content)
     content["transitions"][0] = {"grasp_ids": [], "q_pick": [], "q_place": [], "clearance": []}
     path = tmp_path / "plan.json"

@@ -1,4 +1,4 @@
-"""The proof of a plan: true plans hold, and every kind of false claim is found and named."""
+"""The verification of a plan: true plans hold, and every kind of false claim is found and named."""
 
 import re
 from dataclasses import replace
@@ -19,13 +19,13 @@ def test_every_accepted_transition_holds(name):
     residuals = plan.residuals()
     assert plan.solved and residuals.hold, residuals.problems
     assert len(residuals.transitions) == plan.num_regrasps + 1
-    for transition, proof in zip(plan.transitions, residuals.transitions, strict=True):
+    for transition, certificate in zip(plan.transitions, residuals.transitions, strict=True):
         shape = (len(transition.grasp_ids), 2)
-        assert proof.position_error.shape == proof.rotation_error.shape == shape
-        assert proof.limit_margin.shape == proof.collision_margin.shape == shape
-        assert proof.position_error.max() < 1e-6 and proof.rotation_error.max() < 1e-6
-        assert proof.limit_margin.min() >= -1e-9
-        assert proof.collision_margin.min() > -1e-4
+        assert certificate.position_error.shape == certificate.rotation_error.shape == shape
+        assert certificate.limit_margin.shape == certificate.collision_margin.shape == shape
+        assert certificate.position_error.max() < 1e-6 and certificate.rotation_error.max() < 1e-6
+        assert certificate.limit_margin.min() >= -1e-9
+        assert certificate.collision_margin.min() > -1e-4
     assert (residuals.placement_error < 1e-6).all()
 
 
@@ -89,7 +89,7 @@ def test_a_moved_pose_touches_the_transitions_on_both_sides(plan, i):
     assert any("stable placement" in text for text in problems) == (i == 1)
 
 
-def test_the_cost_is_a_record_that_no_proof_looks_at(plan):
+def test_the_cost_is_a_record_that_no_verification_looks_at(plan):
     assert replace(plan, cost=plan.cost + 1.0).residuals().problems == plan.residuals().problems == ()
 
 
@@ -131,7 +131,7 @@ def test_a_missing_transition(plan):
 
 
 def test_an_arm_in_collision(plan):
-    """Every branch of the arm that the checker refused is refused by the proof as well."""
+    """Every branch of the arm that the checker refused is refused by the verification as well."""
     checker, transition = plan.problem.checker, plan.transitions[0]
     refused = 0
     for k, grasp in enumerate(transition.grasp_ids.tolist()):

@@ -33,7 +33,7 @@ class Moving:
     ids=["outside the workspace", "not a number", "in the robot's base"],
 )
 def test_a_refiner_is_not_believed(bottle_problem, task, move):
-    recipe = Recipe(Moving(move), batches=(4,), proved=4, fallback=0)
+    recipe = Recipe(Moving(move), batches=(4,), verified=4, fallback=0)
     plan = solve_sequence(bottle_problem, task.start, task.goal, recipe, max_regrasps=1)
     assert plan.status is Status.NOT_FOUND and plan.transitions == ()
 
@@ -62,7 +62,7 @@ def test_fewer_chains_than_are_asked_for_end_the_batches(bottle_problem, task):
         def start_points(self, lattice, objective, num_regrasps, rng):
             return super().start_points(lattice, objective, num_regrasps, rng).take(slice(0, 3))
 
-    recipe = Three(Counting(), batches=(2, 2, 2), proved=1, fallback=0)
+    recipe = Three(Counting(), batches=(2, 2, 2), verified=1, fallback=0)
     solve_sequence(bottle_problem, task.start, task.goal, recipe, max_regrasps=1, accept=lambda plan: False)
     assert sizes == [2, 1]
 

@@ -1,4 +1,4 @@
-"""In which order the search refines, proves and accepts; what recipes start from; and how tasks are drawn."""
+"""In which order the search refines, verifies and accepts; what recipes start from; and how tasks are drawn."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -30,7 +30,7 @@ class Recorder:
 
 @pytest.fixture
 def unprovable(monkeypatch):
-    """Let no candidate be proved; return the list of their numbers of regrasps."""
+    """Let no candidate be verified; return the list of their numbers of regrasps."""
     tried = []
 
     def refuse(poses, energies):
@@ -38,15 +38,15 @@ def unprovable(monkeypatch):
         tried.append(len(poses) - 2)
         return False
 
-    monkeypatch.setattr(search, "prove_sequence", refuse)
+    monkeypatch.setattr(search, "verify_sequence", refuse)
     return tried
 
 
-def test_batches_are_refined_in_turn_then_the_lattice_is_proved_then_the_search_goes_deeper(
+def test_batches_are_refined_in_turn_then_the_lattice_is_verified_then_the_search_goes_deeper(
     bottle_problem, task, unprovable
 ):
     recorder = Recorder()
-    recipe = Recipe(recorder, batches=(2, 3), proved=2, fallback=4)
+    recipe = Recipe(recorder, batches=(2, 3), verified=2, fallback=4)
     plan = solve_sequence(bottle_problem, task.start, task.goal, recipe, max_regrasps=2)
     assert plan.status is Status.NOT_FOUND and plan.transitions == () and np.isnan(plan.cost)
     assert [len(starts) for starts in recorder.batches] == [2, 3, 2, 3]
@@ -63,15 +63,15 @@ def test_batches_are_refined_in_turn_then_the_lattice_is_proved_then_the_search_
     assert set(plan.timings) >= {"ends", "starts", "refine", "verify", "total"}
 
 
-def test_without_a_fallback_nothing_unrefined_is_proved(bottle_problem, task, unprovable):
-    recipe = Recipe(Recorder(), batches=(3,), proved=2, fallback=0)
+def test_without_a_fallback_nothing_unrefined_is_verified(bottle_problem, task, unprovable):
+    recipe = Recipe(Recorder(), batches=(3,), verified=2, fallback=0)
     plan = solve_sequence(bottle_problem, task.start, task.goal, recipe, max_regrasps=1)
     assert len(unprovable) <= 2 and [entry["refiner"] for entry in plan.refiner_stats] == ["recorder"]
 
 
 def test_a_plan_that_is_not_accepted_is_followed_by_the_next(bottle_problem, task):
     seen = []
-    recipe = Recipe(Recorder(), batches=(6,), proved=6, fallback=0)
+    recipe = Recipe(Recorder(), batches=(6,), verified=6, fallback=0)
 
     def third(plan):
         seen.append(plan)
@@ -91,10 +91,10 @@ def test_a_plan_that_is_not_accepted_is_followed_by_the_next(bottle_problem, tas
     assert direct.num_regrasps == 0 and shown == [direct]
 
 
-def test_the_papers_recipe_accepts_the_cheapest_below_the_threshold_and_proves_it_once(
+def test_the_papers_recipe_accepts_the_cheapest_below_the_threshold_and_verifies_it_once(
     bottle_problem, task, unprovable, monkeypatch
 ):
-    recipe = Recipe(Recorder(), batches=(8,), proved=5, fallback=0, check="threshold")
+    recipe = Recipe(Recorder(), batches=(8,), verified=5, fallback=0, check="threshold")
     blocked = solve_sequence(bottle_problem, task.start, task.goal, recipe, max_regrasps=3)
     entry = blocked.refiner_stats[-1]
     assert blocked.status is Status.NOT_FOUND and 1 <= entry["threshold_passed"] <= 5
@@ -115,23 +115,23 @@ def test_the_papers_recipe_accepts_the_cheapest_below_the_threshold_and_proves_i
 
 
 def test_recipes_are_what_the_documentation_says():
-    assert as_recipe("ipopt") == Recipe(NlpRefiner(), "lattice", (2, 4), 6, 400, "proof", "exact")
+    assert as_recipe("ipopt") == Recipe(NlpRefiner(), "lattice", (2, 4), 6, 400, "verification", "exact")
     assert as_recipe("langevin-ipopt") == Recipe(NlpRefiner(), "langevin", fallback=0)
     assert as_recipe("lattice") == Recipe(LatticeRefiner(), "lattice", (400,), 400, 0)
     assert as_recipe("langevin") == Recipe(LangevinRefiner(), "random", (1000,), 50, 0)
     paper = Recipe(LangevinRefiner(keep_best=False), "random", (1000,), 50, 0, "threshold", "learned")
     assert as_recipe("paper") == paper_recipe(50) == paper
-    assert paper_recipe(10).proved == 10
+    assert paper_recipe(10).verified == 10
     assert set(RECIPES) == {"ipopt", "langevin-ipopt", "lattice", "langevin", "paper"}
     recipe, refiner = Recipe(LatticeRefiner()), Recorder()
     assert as_recipe(recipe) is recipe and as_recipe(refiner).refiner is refiner
 
 
-@pytest.mark.parametrize("wrong", [{"batches": ()}, {"batches": (2, 0)}, {"proved": 0}, {"fallback": -1}])
+@pytest.mark.parametrize("wrong", [{"batches": ()}, {"batches": (2, 0)}, {"verified": 0}, {"fallback": -1}])
 def test_recipes_out_of_range_are_refused(wrong):
-    with pytest.raises(OptionError, match="a recipe needs batches and proved of at least 1"):
+    with pytest.raises(OptionError, match="a recipe needs batches and verified of at least 1"):
         Recipe(LatticeRefiner(), **wrong)
-    assert Recipe(LatticeRefiner(), batches=(1,), proved=1, fallback=0).proved == 1
+    assert Recipe(LatticeRefiner(), batches=(1,), verified=1, fallback=0).verified == 1
 
 
 @pytest.fixture
@@ -144,7 +144,7 @@ def small(make_energy):
 
 
 @pytest.mark.parametrize(("starts", "count"), [("lattice", 9), ("random", 5), ("langevin", 5)])
-def test_start_points_are_as_many_as_are_refined_and_proved(small, starts, count, monkeypatch):
+def test_start_points_are_as_many_as_are_refined_and_verified(small, starts, count, monkeypatch):
     monkeypatch.setattr(recipes, "LANGEVIN_SAMPLES", 16)
     objective, lattice = small
     recipe = Recipe(LatticeRefiner(), starts, batches=(2, 3), fallback=4)

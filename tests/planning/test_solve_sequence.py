@@ -43,7 +43,7 @@ def numpy_cost(plan, alpha=1.0, lambda_reg=0.5):
 
 
 def assert_contract(plan, problem, task):
-    """Assert every type and shape that the contract states, and that the plan can be proved."""
+    """Assert every type and shape that the contract states, and that the plan can be verified."""
     count, dof = plan.num_regrasps, problem.workcell.robot.dof
     assert isinstance(plan, RegraspPlan) and plan.status is Status.SOLVED and plan.solved
     assert plan.poses.shape == (count + 2, 4, 4) and plan.poses.dtype == np.float64
@@ -154,7 +154,7 @@ def test_every_refiner_plans_and_repeats_itself(bottle_problem, task, refiner):
 def test_langevin_by_name_has_the_constants_of_the_paper():
     recipe = as_recipe("langevin")
     assert recipe.refiner == LangevinRefiner(iterations=20, eta=0.3, tau=0.1)
-    assert (recipe.starts, recipe.batches, recipe.proved) == ("random", (1000,), 50)
+    assert (recipe.starts, recipe.batches, recipe.verified) == ("random", (1000,), 50)
 
 
 def test_a_freshly_loaded_problem_gives_the_same_plan(task, plan):
@@ -193,7 +193,7 @@ def test_a_refiner_of_ones_own(bottle_problem, task):
 
 
 @pytest.mark.parametrize("step", [-0.4, 5.0, np.nan])
-def test_poses_that_a_refiner_claims_are_proved(bottle_problem, task, step):
+def test_poses_that_a_refiner_claims_are_verified(bottle_problem, task, step):
     plan = solve_sequence(bottle_problem, task.start, task.goal, refiner=Shifted(step), max_regrasps=1)
     if plan.solved:
         assert plan.residuals().hold, plan.residuals().problems

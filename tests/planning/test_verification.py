@@ -1,11 +1,11 @@
-"""Proving a sequence: as few checks as possible, the promising grasps and the ends first, and no grasp forgotten."""
+"""Verifying a sequence: as few checks as possible, the promising grasps and the ends first, and no grasp forgotten."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from regrasp_opt.planning.verification import PoseFeasibility, enumerate_transition, prove_sequence, share_a_grasp
+from regrasp_opt.planning.verification import PoseFeasibility, enumerate_transition, share_a_grasp, verify_sequence
 
 GRASPS = 40
 
@@ -75,11 +75,11 @@ def test_grasps_known_to_fail_are_left_out():
     assert checker.asked == [("b", 3)]
 
 
-def test_a_sequence_is_proved_from_its_ends_inwards():
+def test_a_sequence_is_verified_from_its_ends_inwards():
     checker = Checker(s=[0], a=[0, 1], b=[1, 2], c=[2, 3], g=[3])
     poses = list(checker.poses().values())
     energies = np.zeros((5, GRASPS))
-    assert prove_sequence(poses, energies)
+    assert verify_sequence(poses, energies)
     assert [T for T, _ in checker.asked][:9] == ["s"] * 8 + ["a"]
     order = list(dict.fromkeys(T for T, _ in checker.asked))
     assert order == ["s", "a", "c", "g", "b"]
@@ -87,7 +87,7 @@ def test_a_sequence_is_proved_from_its_ends_inwards():
         table = dict(checker.table)
         name = "sabcg"[i + 1]
         broken = Checker(**{key: [] if key == name else np.flatnonzero(value) for key, value in table.items()})
-        assert not prove_sequence(list(broken.poses().values()), energies)
+        assert not verify_sequence(list(broken.poses().values()), energies)
 
 
 def test_the_sum_of_both_energies_says_where_to_look():
@@ -95,7 +95,7 @@ def test_the_sum_of_both_energies_says_where_to_look():
     energies = np.ones((2, GRASPS))
     energies[0, :8] = 0.5
     energies[1, 20] = 0.25  # 1.25 in all, 1.5 for the first eight
-    assert prove_sequence(list(checker.poses().values()), energies)
+    assert verify_sequence(list(checker.poses().values()), energies)
     assert checker.asked[0] == ("a", 20)
 
 

@@ -1,4 +1,4 @@
-"""The proof of a plan sees every kind of collision: each is put into a true plan, and the two bodies are named."""
+"""The certificate of a plan sees every kind of collision: each is put into a true plan, and both bodies are named."""
 
 from dataclasses import replace
 
@@ -57,12 +57,12 @@ def with_part_of_the_gripper(plan, T_world_flange, center):
 
 
 def pick_problem(plan):
-    """Return the two bodies that the proof names as nearest at the pick, and assert that it refuses the plan."""
+    """Return the two bodies that the verification names as nearest at the pick, and assert that it refuses the plan."""
     residuals = plan.residuals()
-    proof = residuals.transitions[0]
-    assert proof.collision_margin[0, 0] < -1e-4
+    certificate = residuals.transitions[0]
+    assert certificate.collision_margin[0, 0] < -1e-4
     assert any("at its pick: bodies are" in text and "nearer than" in text for text in residuals.problems)
-    return set(proof.nearest[0])
+    return set(certificate.nearest[0])
 
 
 def on_finger(plan, T_world_flange, opening, depth):
@@ -74,8 +74,10 @@ def on_finger(plan, T_world_flange, opening, depth):
 
 
 def test_the_plan_itself_is_free(held):
-    proof = held.residuals().transitions[0]
-    assert proof.collision_margin.min() >= -1e-4 and "crate" not in {name for pair in proof.nearest for name in pair}
+    certificate = held.residuals().transitions[0]
+    assert certificate.collision_margin.min() >= -1e-4 and "crate" not in {
+        name for pair in certificate.nearest for name in pair
+    }
 
 
 @pytest.mark.parametrize("link", ["link2_1", "link3_1", "link5_1"])

@@ -39,7 +39,7 @@ BAD = {
     "<mesh filename='part.stl' scale='0.001'/>": ': <mesh> has scale="0.001"; give 3 numbers',
     "<mesh filename='part.stl' scale='1 0 1'/>": " has a mesh of scale 0; give the factor to metres",
     "<mesh filename='empty.stl'/>": ": its mesh cannot be used: ",
-    "<mesh filename='broken.3ds'/>": "is no mesh file that can be read; give one of",
+    "<mesh filename='broken.3ds'/>": "is not a mesh file that can be read; give one of",
     "": " has 0 shapes; give it one <geometry> with one shape",
     "<sphere radius='0.1'/><box size='1 1 1'/>": " has 2 shapes; give it one <geometry> with one shape",
 }

@@ -32,7 +32,7 @@ def trace(plan):
     from regrasp_opt.solvers import NlpRefiner
     from regrasp_opt.viz import trace_candidates
 
-    return trace_candidates(plan, Recipe(NlpRefiner(), starts="random", batches=(4, 10), proved=14))
+    return trace_candidates(plan, Recipe(NlpRefiner(), starts="random", batches=(4, 10), verified=14))
 
 
 @pytest.fixture(scope="session")

@@ -48,13 +48,13 @@ def test_frames_go_from_start_points_to_refined_poses(trace, plan):
 
 def test_langevin_has_a_frame_for_each_step(plan):
     refiner = LangevinRefiner(iterations=6, device="cpu")
-    trace = trace_candidates(plan, Recipe(refiner, starts="random", batches=(30,), proved=30))
+    trace = trace_candidates(plan, Recipe(refiner, starts="random", batches=(30,), verified=30))
     assert trace.xi.shape[:2] == (8, candidates.SHOWN)
     assert trace.refiner == "langevin"
 
 
 def test_a_refiner_that_keeps_nothing_shows_start_and_end(plan):
-    trace = trace_candidates(plan, Recipe(Idle(), batches=(3,), proved=3))
+    trace = trace_candidates(plan, Recipe(Idle(), batches=(3,), verified=3))
     assert trace.xi.shape[:2] == (2, 3)
     np.testing.assert_array_equal(trace.xi[0], trace.xi[1])
     assert trace.accepted is not None

@@ -41,7 +41,7 @@ PLANNERS: dict[str, Callable[[], Recipe]] = {
     "Langevin from lattice": lambda: Recipe(LangevinRefiner(anneal=True)),
     "Langevin": RECIPES["langevin"],
     "lattice": RECIPES["lattice"],
-    "random poses": lambda: Recipe(LatticeRefiner(), starts="random", batches=(1000,), proved=1000, fallback=0),
+    "random poses": lambda: Recipe(LatticeRefiner(), starts="random", batches=(1000,), verified=1000, fallback=0),
 }
 """Recipes by the name under which they are reported."""
 

@@ -36,7 +36,7 @@ METHODS = (("ours", None), *((name, k) for name in ("ours, threshold", "paper's 
 
 def threshold_recipe(k_top: int) -> Recipe:
     """Return our refiner with the paper's acceptance: the cheapest of `k_top` candidates that passes `h`."""
-    return Recipe(NlpRefiner(), batches=(k_top,), proved=k_top, fallback=0, check="threshold")
+    return Recipe(NlpRefiner(), batches=(k_top,), verified=k_top, fallback=0, check="threshold")
 
 
 def run_multi_step(session: Session) -> Report:

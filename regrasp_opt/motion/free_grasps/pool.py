@@ -40,7 +40,7 @@ class GraspPool:
         self._problem, self._ends, self._rng, self._kind = problem, ends, rng, grasps.kind
         self._settler = GraspProjector(problem.object, problem.workcell.end_effector)
         self._grade = self._settler.worst_grade(grasps)
-        self._proved = np.zeros((len(ends), 0), dtype=bool)
+        self._verified = np.zeros((len(ends), 0), dtype=bool)
 
     def add(self, T: FloatArray, width: float) -> int:
         """Append a grasp and return its number."""
@@ -56,14 +56,14 @@ class GraspPool:
         """Return the problem with all grasps."""
         return replace(self._problem, grasps=self.grasps())
 
-    def proved(self) -> BoolArray:
+    def verified(self) -> BoolArray:
         """Return which grasps (2, G) are feasible at start and goal."""
-        known = self._proved.shape[1]
+        known = self._verified.shape[1]
         if known < len(self.T):
             checker = replace(self._problem, grasps=self.grasps(slice(known, None))).checker
             fresh = np.array([checker.feasible(T) for T in self._ends])
-            self._proved = np.hstack([self._proved, fresh])
-        return self._proved
+            self._verified = np.hstack([self._verified, fresh])
+        return self._verified
 
     def settled(self, T: FloatArray) -> GraspSet:
         """Return the grasps that tool poses (B, 4, 4) settle in."""
@@ -75,8 +75,8 @@ class GraspPool:
         Where few known grasps work at an end, twice as many more are those of `CANDIDATES` with the least energy there.
         """
         tools = [self._random(count)[0]]
-        for T_end, proved in zip(self._ends, self.proved(), strict=True):
-            if proved.sum() < ENOUGH:
+        for T_end, verified in zip(self._ends, self.verified(), strict=True):
+            if verified.sum() < ENOUGH:
                 T, width = self._random(CANDIDATES)
                 energy = GraspEnergy(self._problem.energy.model, GraspSet(T, width, self._kind))(T_end)
                 tools.append(T[np.argsort(energy)[: 2 * count]])

@@ -6,7 +6,7 @@ For chains of poses that the energy finds promising, the poses and the grasp of 
 
 with the energy as a function of the grasp's own pose. After each step a grasp is settled on the object by the rules of
 the sampler (`GraspProjector`), and the next step starts there. What has settled joins the set, so chains grow from it
-in the next round. The exact checker proves each chain, and the planner searches the grown set from time to time.
+in the next round. The exact checker verifies each chain, and the planner searches the grown set from time to time.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ NOISE = 1.0
 GOOD = 0.5
 """Objective at which a chain is not optimised further."""
 
-UNPROVED = 1.0
+UNVERIFIED = 1.0
 """Least energy of a grasp at an end where the exact check has refused it."""
 
 
@@ -145,7 +145,7 @@ class _Search:
         self.programs = [FreeGraspProgram(self.model, size, problem.grasps.kind) for size in sizes]
 
     def run(self) -> RegraspPlan | None:
-        """Return a proved plan, or None."""
+        """Return a verified plan, or None."""
         for number in range(1, self.options.rounds + 1):
             self.pool.explore(self.options.explored)
             chains = [self._optimised(chain) for chain in self._chains()]
@@ -162,7 +162,7 @@ class _Search:
     def _chains(self) -> list[_Chain]:
         """Return promising chains, a quarter of them without an intermediate pose, no two with the same grasps."""
         problem, energy = self.problem, GraspEnergy(self.model, self.pool.grasps())
-        ends = np.where(self.pool.proved(), 0.0, np.maximum(energy(self.ends), UNPROVED))
+        ends = np.where(self.pool.verified(), 0.0, np.maximum(energy(self.ends), UNVERIFIED))
         direct = np.argsort(ends.sum(axis=0) + NOISE * self.rng.gumbel(size=len(energy)))
         nothing = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
         count = self.options.chains if len(self.programs) == 1 else max(1, self.options.chains // 4)
@@ -213,7 +213,7 @@ class _Search:
         return np.array([self.ends[0], *middle, self.ends[1]])
 
     def _holds(self, grown: RegraspProblem, chain: _Chain) -> bool:
-        """Return whether the exact checker proves a chain with its own grasps."""
+        """Return whether the exact checker verifies a chain with its own grasps."""
         poses, checker = self._poses(chain), grown.checker
         if any(checker.object_collides(T) for T in poses[1:-1]):
             return False

@@ -123,7 +123,7 @@ def first_choice(plan: RegraspPlan) -> JointChoice:
 def measure_choice(
     problem: RegraspProblem, poses: FloatArray, choice: JointChoice, home: FloatArray | None, cost: float
 ) -> JointMeasures:
-    """Return the measures of `choice` at `poses` (N+2, 4, 4), whose ``J_seq`` is `cost`; `home` as of `travel`."""
+    """Return the measures of `choice` at `poses` (N+2, 4, 4), whose ``J_seq`` is `cost`; `home` same as in `travel`."""
     least = clearances(problem, poses, choice).min()
     q = choice.q.reshape(-1, problem.workcell.robot.dof)
     least_manipulability = manipulability(problem.workcell.robot, q).min()

@@ -9,7 +9,7 @@
 The kinematic residual is the position error in units of `POSITION_UNIT` and the vector of ``(R_t' R - R' R_t) / 2``,
 whose derivative at the solution is the angular velocity: six rows of one size, none of them squared.
 
-The capsules are larger than the bodies. A clearance that is short at a start proved by the exact check need not grow;
+The capsules are larger than the bodies. A clearance that is short at a start verified by the exact check need not grow;
 it may not shrink.
 """
 

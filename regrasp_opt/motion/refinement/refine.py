@@ -1,6 +1,6 @@
 """`refine_plan`: a verified plan made better for the arm, by a discrete choice first and a nonlinear program after.
 
-Where the program fails, the discrete choice alone remains, with the reason; where nothing better can be proved, the
+Where the program fails, the discrete choice alone remains, with the reason; where nothing better can be verified, the
 plan that was given is returned as it was.
 """
 
@@ -72,7 +72,7 @@ def refine_plan(
     bounds: MeasureBounds | None = None,
     options: SearchOptions | None = None,
 ) -> JointResult:
-    """Return `plan` with poses, grasps and configurations chosen such that a measure is better, proved again.
+    """Return `plan` with poses, grasps and configurations chosen such that a measure is better, verified again.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def refine_plan(
         best = search.run()
         refined, refusal = None, ""
         if best is not None and (not search.failure or best.measures.loss(minimise) < before.loss(minimise)):
-            refined, refusal = _proved(plan, search, best)
+            refined, refusal = _verified(plan, search, best)
         if best is None or refined is None:
             return JointResult(plan, before, search.discrete, before, refusal or search.failure, search.stats)
         refined = replace(refined, timings={**plan.timings, "joint": time.perf_counter() - begun})
@@ -133,8 +133,8 @@ def _checked_home(home: ArrayLike, problem: RegraspProblem) -> FloatArray:
     return q
 
 
-def _proved(plan: RegraspPlan, search: JointSearch, best: Candidate) -> tuple[RegraspPlan | None, str]:
-    """Return the plan of `best` with all shared grasps enumerated, or None and the reason why it is not proved."""
+def _verified(plan: RegraspPlan, search: JointSearch, best: Candidate) -> tuple[RegraspPlan | None, str]:
+    """Return the plan of `best` with all shared grasps enumerated, or None and the reason why it is not verified."""
     poses = search.poses(best.xi)
     transitions = list(plan.transitions)
     if not np.array_equal(best.xi, plan.xi):
@@ -144,7 +144,9 @@ def _proved(plan: RegraspPlan, search: JointSearch, best: Candidate) -> tuple[Re
     transitions = [_led_by(t, search, best, i) for i, t in enumerate(transitions)]
     refined = replace(plan, poses=poses, xi=wrap_yaw(best.xi), transitions=tuple(transitions), cost=best.measures.cost)
     problems = refined.residuals().problems
-    return (None, f"the refined plan is refused by the final proof: {problems[0]}") if problems else (refined, "")
+    return (
+        (None, f"the refined plan is refused by the final verification: {problems[0]}") if problems else (refined, "")
+    )
 
 
 def _led_by(transition: Transition, search: JointSearch, best: Candidate, i: int) -> Transition:

@@ -75,7 +75,7 @@ class SearchOptions:
 
 
 class Candidate(NamedTuple):
-    """Planar parameters (N, 3), the choice of grasps and configurations, and its measures; all of it proved."""
+    """Planar parameters (N, 3), the choice of grasps and configurations, and its measures; all of it verified."""
 
     xi: FloatArray
     choice: JointChoice
@@ -92,7 +92,7 @@ class JointSearch:
     problem_found : str
         What was in the way last.
     failure : str
-        Why no program could be solved and proved; empty where one was.
+        Why no program could be solved and verified; empty where one was.
     stats : list of dict
         One entry for each solve.
     """
@@ -123,7 +123,7 @@ class JointSearch:
     def run(self) -> Candidate | None:
         """Return the best candidate, or None where no choice keeps to the bounds; `failure` says what went wrong.
 
-        Where no program could be solved and proved, that is the best choice at the plan's own poses.
+        Where no program could be solved and verified, that is the best choice at the plan's own poses.
         """
         best: Candidate | None = None
         short = ""
@@ -178,7 +178,7 @@ class JointSearch:
         return choices
 
     def _solved(self, xi: FloatArray, choice: JointChoice) -> Candidate | None:
-        """Return what Ipopt makes of a choice, proved; None where it fails or nothing of its step can be proved."""
+        """Return what Ipopt makes of a choice, verified; None where it fails or nothing of its step can be verified."""
         problem, plan = self.problem, self._plan
         grasps, effector = problem.grasps, problem.workcell.end_effector
         task = JointTask(
@@ -227,7 +227,7 @@ class JointSearch:
         return q
 
     def _candidate(self, xi: FloatArray, choice: JointChoice) -> Candidate | None:
-        """Return a choice at the poses of `xi` if the exact checker proves it and it keeps to the bounds."""
+        """Return a choice at the poses of `xi` if the exact checker verifies it and it keeps to the bounds."""
         refusal = self._refusal(xi, choice)
         if not refusal:
             measures = self._measures(xi, choice)
@@ -238,7 +238,7 @@ class JointSearch:
         return Candidate(xi, choice, measures)
 
     def _refusal(self, xi: FloatArray, choice: JointChoice) -> str:
-        """Return what the exact checker has against a choice; empty where it is proved."""
+        """Return what the exact checker has against a choice; empty where it is verified."""
         checker, robot = self.problem.checker, self.problem.workcell.robot
         low, high = self.problem.workcell.bounds.array
         if (xi[:, :2] < low - 1e-9).any() or (xi[:, :2] > high + 1e-9).any():

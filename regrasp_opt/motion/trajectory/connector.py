@@ -1,4 +1,4 @@
-"""Proved trajectories between two configurations, and along straight lines of the tool."""
+"""Verified trajectories between two configurations, and along straight lines of the tool."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.motion.trajectory.cartesian_path import line
 from regrasp_opt.motion.trajectory.collision_context import CollisionContext
-from regrasp_opt.motion.trajectory.continuous_collision import prove
+from regrasp_opt.motion.trajectory.continuous_collision import verify
 from regrasp_opt.motion.trajectory.options import MotionOptions
 from regrasp_opt.motion.trajectory.sampling import polyline
 from regrasp_opt.motion.trajectory.time_parameterization import (
@@ -30,7 +30,7 @@ ROUNDING = (0.4, 0.15, 0.05)
 
 @dataclass(frozen=True, eq=False)
 class Connector:
-    """Finds proved trajectories for one robot within its limits.
+    """Finds verified trajectories for one robot within its limits.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Connector:
         return Connector(robot, *options.limits(robot), options.distances)
 
     def away(self, context: CollisionContext, q: FloatArray, directions: FloatArray) -> Trajectory | None:
-        """Return a proved straight motion of the tool from `q` (dof,) along one of `directions` (D, 3), base frame."""
+        """Return a verified straight tool motion from `q` (dof,) along one of `directions` (D, 3), base frame."""
         for direction, length in itertools.product(directions, self.distances):
             waypoints = line(self.robot, q, direction, length)
             if waypoints is None:
@@ -62,14 +62,14 @@ class Connector:
         return None
 
     def straight(self, context: CollisionContext, start: FloatArray, goal: FloatArray) -> Trajectory | None:
-        """Return the straight motion in joint space between configurations (dof,), if it is proved."""
+        """Return the straight motion in joint space between configurations (dof,), if it is verified."""
         trajectory = rest_to_rest(start, goal, self.velocity, self.acceleration)
         return trajectory if self.accepted(context, trajectory) else None
 
     def around(
         self, context: CollisionContext, start: FloatArray, goal: FloatArray, rng: np.random.Generator, iterations: int
     ) -> Trajectory | None:
-        """Return a proved motion between configurations (dof,) that a sampling planner found, rounded if possible."""
+        """Return a verified motion between configurations (dof,) that a sampling planner found, rounded if possible."""
         limits = self.robot.lower, self.robot.upper
         corners = polyline(context, start, goal, limits, rng, iterations=iterations)
         if corners is None:
@@ -83,6 +83,6 @@ class Connector:
         return trajectory if self.accepted(context, trajectory) else None
 
     def accepted(self, context: CollisionContext, trajectory: Trajectory) -> bool:
-        """Return whether `trajectory` stays within the joint limits and is proved free of collision."""
+        """Return whether `trajectory` stays within the joint limits and is verified free of collision."""
         low, high = trajectory.position_range()
-        return self.robot.within_limits(low) and self.robot.within_limits(high) and prove(context, trajectory).holds
+        return self.robot.within_limits(low) and self.robot.within_limits(high) and verify(context, trajectory).holds

@@ -1,4 +1,4 @@
-"""Proof that a trajectory is free of collision over its whole length, between samples included.
+"""Verification that a trajectory is free of collision over its whole length, between samples included.
 
 Bodies at distance ``d_a`` and ``d_b`` at the two ends of an interval, which approach each other by at most ``L`` over
 it, are at least ``(d_a + d_b - L) / 2`` apart all the way. An interval is therefore verified once both ends keep
@@ -20,27 +20,27 @@ from regrasp_opt.motion.trajectory.trajectory import Trajectory
 _LAST = len(LEVELS) - 1
 
 
-class Proof(NamedTuple):
-    """Whether a trajectory was proved, the time at which that failed [s] (or NaN), and how many tests it took."""
+class Verification(NamedTuple):
+    """Whether a trajectory was verified, the time at which that failed [s] (or NaN), and how many tests it took."""
 
     holds: bool
     time: float
     tests: int
 
 
-def prove(context: CollisionContext, trajectory: Trajectory) -> Proof:
-    """Prove `trajectory` free of collision in `context`, or return where that fails."""
-    return _Prover(context, trajectory).run()
+def verify(context: CollisionContext, trajectory: Trajectory) -> Verification:
+    """Verify `trajectory` free of collision in `context`, or return where that fails."""
+    return _Verifier(context, trajectory).run()
 
 
-class _Prover:
+class _Verifier:
     """Intervals are pairs of path parameters: the number of a cubic piece plus the parameter in [0, 1] on it."""
 
     def __init__(self, context: CollisionContext, trajectory: Trajectory) -> None:
         self._setting, self._trajectory = context, trajectory
         self._known: dict[tuple[float, int], bool] = {}
 
-    def run(self) -> Proof:
+    def run(self) -> Verification:
         intervals = self._cut()
         while len(intervals):
             travel, ends = self._travel(intervals)
@@ -55,14 +55,14 @@ class _Prover:
                     continue
                 for s, q in zip(intervals[n], ends[n], strict=True):
                     if level == _LAST or not self._passes(s, q, _LAST):
-                        return Proof(False, self._time(s), len(self._known))
+                        return Verification(False, self._time(s), len(self._known))
                 split.append(n)
             halves = intervals[split]
             middle = halves.mean(axis=1)
             intervals = np.concatenate(
                 [np.column_stack([halves[:, 0], middle]), np.column_stack([middle, halves[:, 1]])]
             )
-        return Proof(True, float("nan"), len(self._known))
+        return Verification(True, float("nan"), len(self._known))
 
     def _cut(self) -> FloatArray:
         """Return intervals (I, 2) that cover the trajectory, few of them too long for the first level."""

@@ -17,7 +17,7 @@ class MotionPlan(MotionData):
     Attributes
     ----------
     status : MotionStatus
-        SOLVED only if every segment was proved.
+        SOLVED only if every segment was verified.
     reason : str
         What failed, in one sentence; empty if solved.
     plan : RegraspPlan

@@ -45,7 +45,7 @@ class MotionOptions:
     iterations : int
         Steps of the sampling planner for one connection.
     optimise : bool
-        Whether stops between the phases are taken out, where what results is proved.
+        Whether stops between the phases are taken out, where what results is verified.
     seed : int
         The same seed gives the same motion.
 

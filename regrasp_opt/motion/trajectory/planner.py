@@ -1,7 +1,7 @@
 """`plan_motion`: joint trajectories that carry out a regrasp plan.
 
 For each transition the shared grasps are tried in the order of how far the arm would have to move. A grasp is taken
-when all seven of its motions, and the way to its approach, were proved. Straight motions are tried first for all
+when all seven of its motions, and the way to its approach, were verified. Straight motions are tried first for all
 grasps of a group; only then does the sampling planner look for ways around, at first briefly, and for longer once all
 groups have failed. Where the straight lines of the tool are not possible, tilted ones follow. At last the arm's other
 configurations are tried in the same way.
@@ -51,7 +51,7 @@ def plan_motion(plan: RegraspPlan, options: MotionOptions | None = None) -> Moti
     Returns
     -------
     MotionPlan
-        Its status says how planning ended. SOLVED means that every segment was proved free of collision over its whole
+        Its status says how planning ended. SOLVED means that every segment was verified to be free over its whole
         length and within the joints' limits; otherwise there are no segments, and `reason` says what failed.
 
     Raises

@@ -3,7 +3,7 @@
 A motion that was found goes from rest to rest in every phase. Here all that lies between two rests of the jaw, and
 between those and home, becomes one run: it follows the tool's straight line away from a grasp for at least half of it,
 crosses freely, and follows the line towards the next grasp in the same way. `fastest_run` finds it; every part is
-proved like any other motion, and where no attempt holds or saves time, the motion stays as it was.
+verified like any other motion, and where no attempt holds or saves time, the motion stays as it was.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from regrasp_opt.motion.trajectory.trajectory import Trajectory
 from regrasp_opt.planning import RegraspPlan
 
 ATTEMPTS = ((0.5, np.inf), (0.5, 0.3), (1.0, 0.3))
-"""Share of the lines that stays, and how far the crossing may be from the proved path [rad, m], in that order."""
+"""Share of the lines that stays, and how far the crossing may be from the verified path [rad, m], in that order."""
 
 SHORTEST = 0.03
 """What stays of a line at least, if it is as long [m]."""
 
 DENSE = 20
-"""Points of each segment by which a proved path is resampled."""
+"""Points of each segment by which a verified path is resampled."""
 
 _LEAVING = (Phase.LIFT, Phase.RETREAT)
 _ARRIVING = (Phase.LOWER, Phase.APPROACH)
@@ -39,7 +39,7 @@ _ARRIVING = (Phase.LOWER, Phase.APPROACH)
 def shortened(
     plan: RegraspPlan, scene: MotionScene, connector: Connector, segments: Sequence[Segment]
 ) -> list[Segment]:
-    """Return `segments` with every run that can be proved in place of the segments that it replaces."""
+    """Return `segments` with every run that can be verified in place of the segments that it replaces."""
     result: list[Segment] = []
     for rests, group in itertools.groupby(segments, lambda s: s.phase in (Phase.GRASP, Phase.RELEASE)):
         run = list(group)

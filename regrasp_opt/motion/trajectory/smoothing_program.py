@@ -13,7 +13,7 @@ transcribed directly: the positions ``q_k`` and velocities ``v_k`` of M knots jo
 
 Accelerations of a cubic are linear in time, so the limits hold all over it; its speed may exceed the limit by the
 little that `Trajectory.within` takes back. Collisions are not known here: bounds on ``q_k`` keep it near a given path,
-and the proof follows.
+and the verification follows.
 """
 
 from __future__ import annotations

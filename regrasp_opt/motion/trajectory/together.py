@@ -16,7 +16,7 @@ def plan_with_motion(
 ) -> MotionPlan:
     """Plan poses and motion from `start` to `goal`.
 
-    Each plan that `solve_sequence` proves has its motion planned; where there is none, the search goes on.
+    Each plan that `solve_sequence` verifies has its motion planned; where there is none, the search goes on.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def plan_with_motion(
     Raises
     ------
     PoseError, OptionError, UnknownNameError, ModelError
-        As of `solve_sequence` and `plan_motion`.
+        Same as in `solve_sequence` and `plan_motion`.
     """
     tried: list[MotionPlan] = []
 
