@@ -52,7 +52,7 @@ def load_bodies(folder: Path | None, names: tuple[str, ...] = OBJECT_NAMES) -> d
     Raises
     ------
     OptionError
-        If `folder` is given and is no folder or holds no mesh.
+        If `folder` is given and is not a folder or holds no mesh.
     """
     sources: dict[str, str | Path] = {name: name for name in names}
     sources |= {path.name: path for path in mesh_files(folder)} if folder is not None else {}
@@ -86,7 +86,7 @@ def mesh_files(folder: Path) -> list[Path]:
         If there is none.
     """
     if not folder.is_dir():
-        raise OptionError(f"'{folder}' is no folder; give one with {', '.join(MESH_SUFFIXES)} files")
+        raise OptionError(f"'{folder}' is not a folder; give one with {', '.join(MESH_SUFFIXES)} files")
     found = sorted(path for path in folder.iterdir() if path.suffix.lower() in MESH_SUFFIXES)
     if not found:
         raise OptionError(f"'{folder}' holds no mesh; give a folder with {', '.join(MESH_SUFFIXES)} files")
