@@ -35,9 +35,9 @@ TIME_LIMIT = 60.0
 
 
 def groups(plans, motions):
-    """Return (cell, object, number of plans, number of motions); the shares are those of 600 and 60."""
+    """Return (cell, object, number of tasks, number of motions); of 640 tasks about 600 are solved."""
     meshes = sorted(SHARED.glob("**/*.stl"))
-    chosen = [("nova2-w", name, 70, 6) for name in BUILT_IN]
+    chosen = [("nova2-w", name, 80, 6) for name in BUILT_IN]
     chosen += [("nova2-w", str(path), 16, 1) for path in meshes]
     chosen += [("nova2-r140", "mug", 10, 0), ("nova2-s1", "bottle", 10, 1)]
     chosen += [("ur5", name, 12, 2) for name in ("bottle", "mug", "figurine")]
