@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -59,11 +61,14 @@ def test_casadi_energy_equals_numpy_for_planar_and_full_poses(make_energy, featu
     np.testing.assert_allclose(np.array(full(pose))[:, 0], energy(pose), atol=1e-12)
 
 
-def test_fingerprint_changes_with_the_weights_and_the_grasps_only(make_energy):
+def test_fingerprint_changes_with_what_the_value_depends_on_only(make_energy):
     energy, same, other = make_energy(), make_energy(), make_energy(seed=9)
     same.model.metadata["note"] = "metadata is not part of the value"
     assert energy.fingerprint() == same.fingerprint() != other.fingerprint()
     assert GraspEnergy(energy.model, energy.grasps.subset([1, 0])).fingerprint() != energy.fingerprint()
+    kinds = ({"activation": "tanh"}, {"features": "paper"}, {"use_width": False}, {"bounded": False})
+    hashes = {replace(energy.model, **kind).fingerprint() for kind in ({}, {"threshold": 2.0}, *kinds)}
+    assert len(hashes) == 1 + len(kinds)  # the threshold is not part of the value
 
 
 @pytest.mark.parametrize("features", ["tcp", "paper"])
