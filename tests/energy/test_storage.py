@@ -53,7 +53,7 @@ def damaged(tmp_path, model, change):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda header, arrays: header.update(format=2), "no model of format 1"),
+        (lambda header, arrays: header.update(format=2), "not a model of format 1"),
         (lambda header, arrays: header.pop("threshold"), "lacks a field"),
         (lambda header, arrays: arrays.pop("bias.1"), "lacks a field"),
         (lambda header, arrays: header.update(metadata=3), "lacks a field"),
@@ -89,7 +89,7 @@ def test_a_missing_and_an_empty_file_are_named(tmp_path):
     with pytest.raises(ModelError, match="is empty or corrupt"):
         load_energy(tmp_path / "empty.safetensors")
     save_file({"weight.0": np.zeros((1, 1), np.float32)}, tmp_path / "other.safetensors")
-    with pytest.raises(ModelError, match="no model of format 1"):
+    with pytest.raises(ModelError, match="not a model of format 1"):
         load_energy(tmp_path / "other.safetensors")
 
 
