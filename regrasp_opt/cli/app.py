@@ -50,8 +50,8 @@ EffectorOption = Annotated[
 ]
 ModelOption = Annotated[Path | None, typer.Option(help="Folder of a prepared model.")]
 ScaleOption = Annotated[float, typer.Option(help="Metres per unit of the mesh file, e.g. 0.001.")]
-RepairOption = Annotated[bool, typer.Option("--repair", help="Mend the mesh where that is safe.")]
-SeedOption = Annotated[int, typer.Option(help="Same seed, same result.")]
+RepairOption = Annotated[bool, typer.Option("--repair", help="Repair the mesh where that is safe.")]
+SeedOption = Annotated[int, typer.Option(help="Random seed; the same seed gives the same result.")]
 PlanArgument = Annotated[Path, typer.Argument(metavar="PLAN", help="A plan file.", show_default=False)]
 
 
@@ -59,7 +59,7 @@ def run(arguments: list[str]) -> int:
     """Run the command line on `arguments` and return the exit code."""
     began = time.perf_counter()
     if any(not word or (word.startswith("--") and word.find("=") == len(word) - 1) for word in arguments):
-        return _fail("an argument is empty, perhaps because a variable is not set; give it a value, or leave it out")
+        return _fail("an argument is empty, perhaps because a variable is not set; give it a value, or omit it")
     try:
         result = app(args=arguments, standalone_mode=False)
     except typer.TyperException as error:
@@ -99,7 +99,7 @@ def _show_version(wanted: bool) -> None:
 def _common(
     context: typer.Context,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks.")] = False,
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log what is done to stderr.")] = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log each step to stderr.")] = False,
     show_version: Annotated[
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")
     ] = False,
@@ -121,14 +121,14 @@ def plan(
         str | None,
         typer.Option(metavar="POSE", help="PLACEMENT:x,y,yaw_deg or a JSON file with a 4x4 matrix."),
     ] = None,
-    goal: Annotated[str | None, typer.Option(metavar="POSE", help="As --start.")] = None,
+    goal: Annotated[str | None, typer.Option(metavar="POSE", help="Same as --start.")] = None,
     refiner: Annotated[
         str,
         typer.Option(help="ipopt, lattice, langevin, langevin-ipopt or paper.", autocompletion=names(REFINERS)),
     ] = "ipopt",
     seed: SeedOption = 0,
     max_regrasps: Annotated[int, typer.Option(help="Largest number of intermediate poses.")] = 5,
-    time_limit: Annotated[float | None, typer.Option(help="Seconds to search at most.")] = None,
+    time_limit: Annotated[float | None, typer.Option(help="Longest time to search \\[s].")] = None,
     model: ModelOption = None,
     scale: ScaleOption = 1.0,
     repair: RepairOption = False,
@@ -136,7 +136,7 @@ def plan(
     html: Annotated[Path | None, typer.Option(help="Save a page that shows the plan.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the plan as one JSON object.")] = False,
 ) -> int:
-    """Plan from a start to a goal pose. Ends that are not given are drawn at random so that a regrasp is needed.
+    """Plan from a start to a goal pose. An end that is not given is drawn at random, such that a regrasp is needed.
 
     For example:
 
@@ -181,7 +181,7 @@ def prepare(
     out: Annotated[Path | None, typer.Option(help="Folder of the model; by default your data folder.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the report as one JSON object.")] = False,
 ) -> int:
-    """Sample grasps, label poses, train and calibrate, so that the object can be planned with. Resumes.
+    """Prepare an object for planning: sample grasps, label poses, train and calibrate. An interrupted run resumes.
 
     Example:
 
@@ -207,9 +207,9 @@ def inspect(
     scale: ScaleOption = 1.0,
     repair: RepairOption = False,
     html: Annotated[Path | None, typer.Option(help="Write a page that shows the workcell and the object.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the same as one JSON object.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print the description as one JSON object.")] = False,
 ) -> int:
-    """Say what was understood of a workcell, an object, and the grasps of both.
+    """Show how a workcell, an object and the grasps for both were understood.
 
     For example:
 
@@ -227,7 +227,7 @@ def check(
     plan: PlanArgument,
     json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
 ) -> int:
-    """Verify a saved plan again from problem data alone; exit 1 and name the transition if a claim does not hold.
+    """Verify a saved plan again from problem data alone; if a claim does not hold, exit with 1 and name it.
 
     Example:
 
@@ -243,11 +243,11 @@ def motion(
     plan: PlanArgument,
     out: Annotated[Path | None, typer.Option(help="Save the motion as JSON.")] = None,
     csv: Annotated[Path | None, typer.Option(help="Save joint positions and velocities over time as CSV.")] = None,
-    step: Annotated[float, typer.Option(help="Seconds between rows of the CSV.")] = 0.01,
-    scene: Annotated[Path | None, typer.Option(help="Folder for the scene as URDF.")] = None,
-    velocity: Annotated[float, typer.Option(help="Share of the joints' speed limits that is used, 0.001 to 1.")] = 1.0,
-    acceleration: Annotated[float, typer.Option(help="Largest joint acceleration [rad/s^2], 0.001 to 1000.")] = 5.0,
-    no_home: Annotated[bool, typer.Option("--no-home", help="Neither begin nor end at the robot's home.")] = False,
+    step: Annotated[float, typer.Option(help="Time between rows of the CSV \\[s].")] = 0.01,
+    scene: Annotated[Path | None, typer.Option(help="Folder to write the scene to, as URDF.")] = None,
+    velocity: Annotated[float, typer.Option(help="Fraction of the joints' velocity limits to use, 0.001 to 1.")] = 1.0,
+    acceleration: Annotated[float, typer.Option(help="Largest joint acceleration \\[rad/s^2], 0.001 to 1000.")] = 5.0,
+    no_home: Annotated[bool, typer.Option("--no-home", help="Do not begin and end at the robot's home.")] = False,
     seed: SeedOption = 0,
     json: Annotated[bool, typer.Option("--json", help="Print a summary as one JSON object.")] = False,
 ) -> int:
@@ -269,20 +269,20 @@ def motion(
 def show(
     plan: PlanArgument,
     motion: Annotated[Path | None, typer.Option(help="A motion of the plan, saved by 'motion --out'.")] = None,
-    html: Annotated[Path | None, typer.Option(help="Write one page that needs no network, and end.")] = None,
+    html: Annotated[Path | None, typer.Option(help="Write one page that needs no network, and exit.")] = None,
     candidates: Annotated[
         str | None,
         typer.Option(
             metavar="REFINER",
-            help="Plan once more with this refiner and show its candidates by iteration.",
+            help="Plan again with this refiner and show its candidates by iteration.",
             autocompletion=names(REFINERS),
         ),
     ] = None,
     plots: Annotated[
-        Path | None, typer.Option(help="Write plots of the cost, and of the candidates, to this folder, and end.")
+        Path | None, typer.Option(help="Write plots of the cost and the candidates to this folder, and exit.")
     ] = None,
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the live view.")] = 8080,
-    json: Annotated[bool, typer.Option("--json", help="Print what was written, or the address, as JSON.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print the files written, or the address, as JSON.")] = False,
 ) -> int:
     """Show a saved plan in the browser: a live view until Ctrl+C, or one page in a file; or plot its cost.
 
@@ -310,8 +310,8 @@ def export(
         ),
     ],
     to: Annotated[Literal["casadi", "c", "onnx"], typer.Option("--to", help="Format.")],
-    out: Annotated[Path | None, typer.Option(help="File to write; by default in this folder.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print what was written as one JSON object.")] = False,
+    out: Annotated[Path | None, typer.Option(help="File to write; by default in the current folder.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the file written as one JSON object.")] = False,
 ) -> int:
     """Export the energy of all grasps as a function of an object pose.
 
@@ -335,20 +335,22 @@ def bench(
             autocompletion=names(EXPERIMENTS),
         ),
     ],
-    quick: Annotated[bool, typer.Option("--quick", help="Minutes instead of the paper's sizes.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Take minutes: smaller sizes than the paper's.")] = False,
     objects: Annotated[
         Path | None, typer.Option(help="Folder of meshes to evaluate besides the built-in ones.")
     ] = None,
     jobs: Annotated[int, typer.Option(help="Worker processes; -1 uses all cores.")] = -1,
     dask: Annotated[str | None, typer.Option(help="Address of a Dask scheduler whose workers to use.")] = None,
     seed: SeedOption = 0,
-    out: Annotated[Path, typer.Option(help="Folder of the results; an interrupted run goes on there.")] = Path(
+    out: Annotated[Path, typer.Option(help="Folder of the results; an interrupted run resumes there.")] = Path(
         "benchmarks"
     ),
-    plots: Annotated[bool, typer.Option("--plots", help="Write curves as PNG files too, where there are any.")] = False,
+    plots: Annotated[
+        bool, typer.Option("--plots", help="Also write curves as PNG files, where there are any.")
+    ] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")] = False,
 ) -> int:
-    """Repeat an experiment of the paper, or one of ours, and write rows, a summary and a page. Resumes.
+    """Run an experiment, the paper's or ours, and write rows, a summary and a page. An interrupted run resumes.
 
     Example:
 

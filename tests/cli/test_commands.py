@@ -3,12 +3,13 @@
 import json
 import re
 from importlib.metadata import PackageNotFoundError, version
+from typing import get_type_hints
 
 import numpy as np
 import pytest
 from command import as_process, assert_refused, in_process
 
-from regrasp_opt.cli.app import run
+from regrasp_opt.cli.app import app, run
 
 KEYS = ["status", "num_regrasps", "cost", "poses", "transitions", "timings"]
 ENDS = ("--start", "0:0.2,0.35,30", "--goal", "0:-0.2,0.35,210")
@@ -137,6 +138,17 @@ def test_help_everywhere(capsys):
     for command in ("plan", "prepare", "check", "export"):
         outcome = in_process(capsys, command, "--help")
         assert outcome.code == 0 and "Usage" in outcome.out and outcome.err == ""
+
+
+@pytest.mark.parametrize("command", [command.callback for command in app.registered_commands], ids=lambda c: c.__name__)
+def test_help_shows_every_text_with_its_units_in_brackets(capsys, monkeypatch, command):
+    monkeypatch.setenv("COLUMNS", "300")
+    out = in_process(capsys, command.__name__, "--help").out
+    hints = get_type_hints(command, include_extras=True).values()
+    said = [part.help for hint in hints for part in getattr(hint, "__metadata__", ())]
+    assert len(said) > 1
+    assert [text for text in said if text.replace("\\[", "[") not in out] == []
+    assert "\\" not in out
 
 
 def test_no_arguments_at_all_show_the_help(capsys):
