@@ -60,7 +60,7 @@ class FeasibilityChecker:
         self._lock = threading.RLock()  # the scene is arranged for one pose and grasp at a time
         self._vertices = model.vertices
         self.scene = CollisionScene(model, workcell, grasps)
-        effector = workcell.end_effector
+        effector = workcell.arm.end_effector
         self._object = Solid(mesh_geometry(model.vertices, model.faces))
         self._static = [
             (
@@ -129,7 +129,7 @@ class FeasibilityChecker:
         found = []
         for k, grasp_id in enumerate(grasp_ids.tolist()):
             free = [q for q in branches.q[branches.pair == k] if apart and self.is_free(T, grasp_id, q)]
-            found.append(np.array(free).reshape(len(free), self.workcell.robot.dof))
+            found.append(np.array(free).reshape(len(free), self.workcell.arm.robot.dof))
         return found
 
     def is_free(self, T: FloatArray, grasp_id: int, q: FloatArray) -> bool:
@@ -187,7 +187,7 @@ class FeasibilityChecker:
         """Return the arm's configurations within limits for M pairs, less those that cannot be free of collision."""
         T_world_flange = self.flange_poses(T, grasp_ids)
         kept = np.flatnonzero(self.in_reach(T_world_flange) & ~self.gripper_in_table(T_world_flange, grasp_ids))
-        solutions = self.workcell.robot.solve_ik(self.workcell.T_base_world @ T_world_flange[kept])
+        solutions = self.workcell.arm.robot.solve_ik(self.workcell.arm.T_base_world @ T_world_flange[kept])
         return Branches(solutions.q, kept[solutions.pose_index])
 
     def flange_poses(self, T: FloatArray, grasp_ids: IntArray) -> FloatArray:
@@ -197,8 +197,8 @@ class FeasibilityChecker:
 
     def in_reach(self, T_world_flange: FloatArray) -> BoolArray:
         """Return which flange poses (M, 4, 4) are within a bound of the arm's reach (M,)."""
-        base = self.workcell.T_world_base[:3, 3]
-        return np.linalg.norm(T_world_flange[:, :3, 3] - base, axis=1) <= self.workcell.robot.max_reach
+        base = self.workcell.arm.T_world_base[:3, 3]
+        return np.linalg.norm(T_world_flange[:, :3, 3] - base, axis=1) <= self.workcell.arm.robot.max_reach
 
     def gripper_in_table(self, T_world_flange: FloatArray, grasp_ids: IntArray) -> BoolArray:
         """Return where a corner of the gripper lies in the table, or nearer to its top than the clearance."""

@@ -137,8 +137,8 @@ def label_pairs(
             if len(blocks) >= _HOPELESS_BLOCKS and not any(b.feasible.any() for b in blocks[:_HOPELESS_BLOCKS]):
                 failures = diagnose_poses(_checker(task), blocks[0].T[::GRASPS_PER_POSE], np.random.default_rng(0))
                 raise GraspError(
-                    f"no grasp of '{task.workcell.end_effector.name}' on '{task.model.name}' is feasible anywhere in "
-                    f"the workspace; of {len(failures)} tried {summary(failures)}"
+                    f"no grasp of '{task.workcell.arm.end_effector.name}' on '{task.model.name}' is feasible anywhere "
+                    f"in the workspace; of {len(failures)} tried {summary(failures)}"
                 )
     enough = int(np.searchsorted(np.cumsum([b.feasible.sum() for b in blocks]), feasible_wanted)) + 1
     blocks = blocks[:enough]  # how many were begun depends on the number of workers; how many count does not

@@ -90,7 +90,7 @@ def diagnose(checker: FeasibilityChecker, T: FloatArray, grasp_ids: IntArray | N
     in_table = checker.gripper_in_table(T_world_flange, ids)
     branches = checker.branches(np.broadcast_to(T, (len(ids), 4, 4)), ids)
     rest = np.setdiff1d(np.flatnonzero(reached & ~in_table), branches.pair)
-    reached[rest] = checker.workcell.robot.reaches(checker.workcell.T_base_world @ T_world_flange[rest])
+    reached[rest] = checker.workcell.arm.robot.reaches(checker.workcell.arm.T_base_world @ T_world_flange[rest])
     found: list[Reason | None] = []
     for k, grasp_id in enumerate(ids.tolist()):
         if not reached[k]:

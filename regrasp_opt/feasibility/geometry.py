@@ -16,10 +16,10 @@ def static_bodies(workcell: Workcell) -> list[tuple[Any, str]]:
     for shape in workcell.obstacles:
         pose = coal.Transform3s(shape.pose[:3, :3], shape.pose[:3, 3])
         bodies.append((coal.CollisionObject(shape_geometry(shape), pose), f"the obstacle '{shape.name}'"))
-    robot = workcell.robot
+    robot = workcell.arm.robot
     for number, item in enumerate(robot.collision.geometryObjects):
         if item.parentJoint == 0:
-            T = workcell.T_world_base @ item.placement.homogeneous
+            T = workcell.arm.T_world_base @ item.placement.homogeneous
             pose = coal.Transform3s(T[:3, :3], T[:3, 3])
             name = f"the robot's link '{robot.link_of(number)}'" if number in robot.obstacles else "the robot's base"
             bodies.append((coal.CollisionObject(item.geometry, pose), name))

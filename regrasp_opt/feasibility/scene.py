@@ -32,10 +32,10 @@ class CollisionScene:
     """
 
     def __init__(self, model: ObjectModel, workcell: Workcell, grasps: GraspSet) -> None:
-        robot, effector = workcell.robot, workcell.end_effector
+        robot, effector = workcell.arm.robot, workcell.arm.end_effector
         self.model = robot.model
         self.geometry = robot.collision.copy()
-        self._T_base_world = pin.SE3(workcell.T_base_world)
+        self._T_base_world = pin.SE3(workcell.arm.T_base_world)
         moving = [i for i in range(self.geometry.ngeoms) if self._joint(i) != _WORLD]
 
         tip = robot.model.frames[robot.model.getFrameId(robot.tip_frame)]

@@ -39,11 +39,11 @@ def points_in_table(workcell: Workcell, grasps: GraspSet, placements: FloatArray
     placements : (S, 4, 4)
         Stable placements, T_world_object at xi = 0.
     """
-    table, effector = workcell.table, workcell.end_effector
+    table, effector = workcell.table, workcell.arm.end_effector
     slab = table.height - table.thickness, table.height
     margins = workcell.clearance
     fixed = [_Body(shape_geometry(s), s.pose, margins.gripper) for s in effector.body]
-    fixed += [_Body(geometry, T, margins.arm) for geometry, T in wrist_bodies(workcell.robot)]
+    fixed += [_Body(geometry, T, margins.arm) for geometry, T in wrist_bodies(workcell.arm.robot)]
     T_object_flange = grasps.T_object_tcp @ effector.T_tcp_flange
     found = np.full((len(placements), len(grasps), 2), np.nan)
     for g, width in enumerate(grasps.width.tolist()):

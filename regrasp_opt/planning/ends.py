@@ -53,8 +53,8 @@ def _check_workspace(T: FloatArray, name: str, model: ObjectModel, workcell: Wor
             f"the {name} pose is outside the workspace: the object's centre is at x = {center[0]:.3f}, "
             f"y = {center[1]:.3f} m; keep it in x [{low[0]:g}, {high[0]:g}], y [{low[1]:g}, {high[1]:g}]"
         )
-    distance = float(np.linalg.norm(vertices - workcell.T_world_base[:3, 3], axis=1).min())
-    reach = workcell.robot.max_reach + workcell.end_effector.tcp_offset
+    distance = float(np.linalg.norm(vertices - workcell.arm.T_world_base[:3, 3], axis=1).min())
+    reach = workcell.arm.robot.max_reach + workcell.arm.end_effector.tcp_offset
     if distance > reach:
         raise PoseError(
             f"the {name} pose is out of reach: the object is {distance:.2f} m from the robot's base, "

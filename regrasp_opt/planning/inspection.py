@@ -31,7 +31,7 @@ def describe_workcell(workcell: Workcell) -> Data:
     return {
         "name": workcell.name,
         "source": workcell.source,
-        "robot": describe_robot(workcell.robot) | {"position": workcell.T_world_base[:3, 3].tolist()},
+        "robot": describe_robot(workcell.arm.robot) | {"position": workcell.arm.T_world_base[:3, 3].tolist()},
         "end_effector": _describe_end_effector(workcell),
         "table": {
             "height": table.height,
@@ -106,7 +106,7 @@ def _never_tested(robot: Robot) -> list[Data]:
 
 
 def _describe_end_effector(workcell: Workcell) -> Data:
-    effector = workcell.end_effector
+    effector = workcell.arm.end_effector
     data: Data = {
         "name": effector.name,
         "kind": effector.kind,

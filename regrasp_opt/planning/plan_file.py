@@ -221,12 +221,12 @@ def _problem(content: _File, path: Path) -> RegraspProblem:
     except PoseError as error:
         raise PlanFileError(f"'{path}': {error}") from error
     widths = np.array([g.width for g in content.grasps])
-    grasps = GraspSet(T.reshape(-1, 4, 4), widths, cell.end_effector.kind)
+    grasps = GraspSet(T.reshape(-1, 4, 4), widths, cell.arm.end_effector.kind)
     return assemble(body, cell, grasps, find_model(body, cell))  # all of them: transitions name them by number
 
 
 def _transition(record: _Transition, problem: RegraspProblem, path: Path) -> Transition:
-    count, dof = len(record.grasp_ids), problem.workcell.robot.dof
+    count, dof = len(record.grasp_ids), problem.workcell.arm.robot.dof
     rows = [*record.q_pick, *record.q_place]
     sizes = {len(record.q_pick), len(record.q_place), len(record.clearance), count}
     if len(sizes) != 1 or any(len(row) != dof for row in rows):

@@ -105,7 +105,7 @@ def prepare(
 
     began = time.perf_counter()
     tell("sampling grasps", 0, 1)
-    grasps = sample_grasps(model, workcell.end_effector, num_grasps, seed=seed)
+    grasps = sample_grasps(model, workcell.arm.end_effector, num_grasps, seed=seed)
     times["grasps"] = time.perf_counter() - began
 
     began = time.perf_counter()

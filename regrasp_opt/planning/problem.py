@@ -108,7 +108,7 @@ class RegraspProblem(ProblemData):
         if grasps is None and folder is not None:
             grasps = load_prepared_grasps(folder)
         if grasps is None:
-            grasps = sample_grasps(body, workcell.end_effector, DEFAULT_GRASPS)
+            grasps = sample_grasps(body, workcell.arm.end_effector, DEFAULT_GRASPS)
         left_out: dict[int, str] = {}
         if tested:
             grasps, left_out = _usable(grasps, body, workcell)
@@ -172,7 +172,7 @@ def assemble(
 
 def _usable(grasps: GraspSet, body: ObjectModel, workcell: Workcell) -> tuple[GraspSet, dict[int, str]]:
     """Return those of `grasps`, which somebody gave, that hold the object, and why the others are left out."""
-    effector = workcell.end_effector
+    effector = workcell.arm.end_effector
     if not isinstance(grasps, GraspSet):
         raise GraspError(f"grasps is a {type(grasps).__name__}; give a GraspSet of poses, widths and kind")
     if len(grasps) == 0:

@@ -177,7 +177,7 @@ def _placement_errors(plan: PlanData, problems: list[str]) -> FloatArray:
 
 
 def _transition(scene: _Scene, transition: Transition, ends: FloatArray) -> TransitionResiduals:
-    robot, grasps = scene.problem.workcell.robot, scene.problem.grasps
+    robot, grasps = scene.problem.workcell.arm.robot, scene.problem.grasps
     count = len(transition.grasp_ids)
     position, rotation, limit, collision, clearance = (np.zeros((count, 2)) for _ in range(5))
     nearest = []
@@ -190,7 +190,9 @@ def _transition(scene: _Scene, transition: Transition, ends: FloatArray) -> Tran
             collision[k, side], clearance[k, side], pair = scene.margins(arm, T_world_tcp, T, grasp_id)
             nearest.append(pair)
     excess = transition.clearance - clearance.min(axis=1)
-    held = hold_failures(grasps.subset(transition.grasp_ids), scene.problem.object, scene.problem.workcell.end_effector)
+    held = hold_failures(
+        grasps.subset(transition.grasp_ids), scene.problem.object, scene.problem.workcell.arm.end_effector
+    )
     failures = tuple(None if failure is None else failure.value for failure in held)
     return TransitionResiduals(position, rotation, limit, collision, excess, tuple(nearest), failures)
 
@@ -229,34 +231,34 @@ class _Scene:
     def __init__(self, problem: RegraspProblem) -> None:
         cell = problem.workcell
         self.problem = problem
-        self.data = cell.robot.model.createData()
+        self.data = cell.arm.robot.model.createData()
         self.object = Solid(mesh_geometry(problem.object.vertices, problem.object.faces))
-        self.arm = [Solid(item.geometry) for item in cell.robot.collision.geometryObjects]
+        self.arm = [Solid(item.geometry) for item in cell.arm.robot.collision.geometryObjects]
         shapes = [cell.table.shape, *cell.obstacles]
         self.fixed = [Body(s.name, Solid(shape_geometry(s)), s.pose) for s in shapes]
 
     def arm_at(self, q: FloatArray) -> tuple[list[Body], FloatArray]:
         """Return the arm's bodies and the TCP (4, 4) in the world at configuration `q` (dof,), by Pinocchio."""
-        cell, robot, data = self.problem.workcell, self.problem.workcell.robot, self.data
+        cell, robot, data = self.problem.workcell, self.problem.workcell.arm.robot, self.data
         pin.framesForwardKinematics(robot.model, data, q)
         bodies = []
         for item, solid in zip(robot.collision.geometryObjects, self.arm, strict=True):
-            T = cell.T_world_base @ (data.oMi[item.parentJoint] * item.placement).homogeneous
+            T = cell.arm.T_world_base @ (data.oMi[item.parentJoint] * item.placement).homogeneous
             bodies.append(Body(item.name, solid, T))
         T_base_tip = data.oMf[robot.model.getFrameId(robot.tip_frame)].homogeneous
-        return bodies, cell.T_world_base @ T_base_tip @ cell.end_effector.T_flange_tcp
+        return bodies, cell.arm.T_world_base @ T_base_tip @ cell.arm.end_effector.T_flange_tcp
 
     def margins(
         self, arm: list[Body], T_world_tcp: FloatArray, T: FloatArray, grasp_id: int
     ) -> tuple[float, float, tuple[str, str]]:
         """Return the least (distance - required clearance) [m], the distance to the surroundings [m], and the pair."""
         cell = self.problem.workcell
-        joints = [item.parentJoint for item in cell.robot.collision.geometryObjects]
-        palm, closed, opened = self._gripper(T_world_tcp @ invert(cell.end_effector.T_flange_tcp), grasp_id)
+        joints = [item.parentJoint for item in cell.arm.robot.collision.geometryObjects]
+        palm, closed, opened = self._gripper(T_world_tcp @ invert(cell.arm.end_effector.T_flange_tcp), grasp_id)
         gripper = (*palm, *closed, *opened)
         held = Body("object", self.object, T)
         moving = [body for body, joint in zip(arm, joints, strict=True) if joint > 0]
-        clearance, near, still = cell.clearance, arm_pairs(cell), cell.robot.obstacles
+        clearance, near, still = cell.clearance, arm_pairs(cell), cell.arm.robot.obstacles
         pairs = [(a, b, clearance.arm) for a in moving for b in (*self.fixed, held)]
         pairs += [(a, b, clearance.gripper) for a in gripper for b in self.fixed]
         own = [(a, arm[j], required) for a in gripper for j, required in near.tool if j in still]
@@ -275,7 +277,7 @@ class _Scene:
 
     def _gripper(self, T_world_flange: FloatArray, grasp_id: int) -> tuple[list[Body], ...]:
         """Return the palm, the fingers at the grasp width, and the fingers at the approach width."""
-        effector, width = self.problem.workcell.end_effector, float(self.problem.grasps.width[grasp_id])
+        effector, width = self.problem.workcell.arm.end_effector, float(self.problem.grasps.width[grasp_id])
         groups = (
             effector.body,
             effector.finger_boxes(width),

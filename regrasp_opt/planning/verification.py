@@ -86,7 +86,7 @@ def enumerate_transition(checker: FeasibilityChecker, a: PoseFeasibility, b: Pos
         picks.append(q_pick)
         places.append(q_place)
         clearances.append(min(checker.clearance(a.T, grasp_id, q_pick), checker.clearance(b.T, grasp_id, q_place)))
-    shape = (len(ids), checker.workcell.robot.dof)
+    shape = (len(ids), checker.workcell.arm.robot.dof)
     return Transition(
         ids,
         np.array(picks, dtype=np.float64).reshape(shape),
@@ -119,7 +119,7 @@ def _nearest_free_pair(
     checker: FeasibilityChecker,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the free pick and place configurations (dof,) with the smallest largest joint move between them."""
-    targets = checker.workcell.robot.nearest_equivalent(place[0][None], pick[0][:, None])
+    targets = checker.workcell.arm.robot.nearest_equivalent(place[0][None], pick[0][:, None])
     move = np.abs(pick[0][:, None] - targets).max(axis=2)
     for index in np.argsort(move, axis=None, kind="stable").tolist():
         i, j = divmod(index, len(place[0]))

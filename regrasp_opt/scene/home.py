@@ -17,16 +17,16 @@ def collision_at_home(workcell: Workcell) -> tuple[str, str] | None:
     Tested are the robot with itself, the end-effector (the jaw wide open) with the robot, and both with table and
     obstacles. The robot keeps the clearance that it needs from what stands still in its own file.
     """
-    robot, effector, pairs = workcell.robot, workcell.end_effector, arm_pairs(workcell)
+    robot, effector, pairs = workcell.arm.robot, workcell.arm.end_effector, arm_pairs(workcell)
     within = robot.colliding_links(robot.home, [clearance for *_, clearance in pairs.links])
     if within is not None:
         return within
-    frames = workcell.T_world_base @ np.concatenate([np.eye(4)[None], robot.link_transforms(robot.home)])
+    frames = workcell.arm.T_world_base @ np.concatenate([np.eye(4)[None], robot.link_transforms(robot.home)])
     links = [
         (robot.link_of(i), Solid(body.geometry), frames[body.parentJoint] @ body.placement.homogeneous)
         for i, body in enumerate(robot.collision.geometryObjects)
     ]
-    T_world_tip = workcell.T_world_base @ robot.forward(robot.home)
+    T_world_tip = workcell.arm.T_world_base @ robot.forward(robot.home)
     tool = [_body(shape, T_world_tip) for shape in (*effector.body, *effector.finger_boxes(effector.max_opening))]
     fixed = [_body(shape, np.eye(4)) for shape in (workcell.table.shape, *workcell.obstacles)]
     moving = [link for link, body in zip(links, robot.collision.geometryObjects, strict=True) if body.parentJoint]

@@ -17,9 +17,11 @@ from regrasp_opt.geometry.mesh_files import LARGEST_MESH, read_triangles, unlike
 from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh, Shape
 from regrasp_opt.geometry.solids import find_shells
 from regrasp_opt.robots import Robot, load_robot
+from regrasp_opt.scene.arm import Arm
 from regrasp_opt.scene.home import collision_at_home
 from regrasp_opt.scene.schema import ObstacleSection, RobotSection, Vector, WorkcellFile
-from regrasp_opt.scene.workcell import Clearance, Table, Workcell, WorkspaceBounds
+from regrasp_opt.scene.support import Support
+from regrasp_opt.scene.workcell import Clearance, Workcell, WorkspaceBounds
 from regrasp_opt.schemas import read_toml
 
 logger = logging.getLogger(__name__)
@@ -75,10 +77,12 @@ def _build(content: WorkcellFile, path: Path, source: str, override: str | os.Pa
     report_outside(path, _named_files(content, path, override))
     workcell = Workcell(
         name=content.name or path.stem,
-        robot=_robot(content.robot, path),
-        T_world_base=_pose(content.robot.position, content.robot.rpy),
-        end_effector=_end_effector(content, path) if override is None else load_end_effector(override),
-        table=Table(table.height, np.array(table.center), np.array(table.size), table.thickness),
+        arm=Arm(
+            _robot(content.robot, path),
+            _pose(content.robot.position, content.robot.rpy),
+            _end_effector(content, path) if override is None else load_end_effector(override),
+        ),
+        supports=(Support.table(table.height, np.array(table.center), np.array(table.size), table.thickness),),
         obstacles=tuple(_obstacle(section, path) for section in content.obstacles),
         bounds=WorkspaceBounds(workspace.x, workspace.y),
         clearance=Clearance(margins.arm, margins.gripper, margins.self_collision),

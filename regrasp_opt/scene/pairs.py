@@ -32,7 +32,7 @@ class ArmPairs(NamedTuple):
 
 def arm_pairs(workcell: Workcell) -> ArmPairs:
     """Return what must be apart among the bodies of the robot, its tool and a held object."""
-    robot, clearance = workcell.robot, workcell.clearance
+    robot, clearance = workcell.arm.robot, workcell.clearance
     joints = [item.parentJoint for item in robot.collision.geometryObjects]
     others = [i for i, joint in enumerate(joints) if joint < robot.dof]
     links = [

@@ -132,7 +132,7 @@ def plan_scene(plan: RegraspPlan, track: Track | None = None, candidates: Candid
         parts=tuple(parts),
         ghosts=tuple(zip(names, colours, pose7(plan.poses), strict=True)),
         object_surface=parts[-1].surface,
-        mark=grasp_mark(cell.end_effector).creased(),
+        mark=grasp_mark(cell.arm.end_effector).creased(),
         states=states,
         steps=tuple(steps),
         seconds=None if track is None else float(track.times[-1]),
@@ -164,7 +164,7 @@ def problem_scene(model: ObjectModel, cell: Workcell) -> PlanScene:
         parts=tuple(parts),
         ghosts=tuple((f"placement {i}", COLOURS["intermediate"], pose) for i, pose in enumerate(pose7(poses))),
         object_surface=parts[-1].surface,
-        mark=grasp_mark(cell.end_effector).creased(),
+        mark=grasp_mark(cell.arm.end_effector).creased(),
         states=states,
         steps=tuple(Step(f"placement {i}" if count else "home", -1, i) for i in range(len(states))),
         seconds=None,
@@ -178,12 +178,12 @@ def problem_scene(model: ObjectModel, cell: Workcell) -> PlanScene:
 
 
 def _parts(model: ObjectModel, cell: Workcell) -> list[Part]:
-    dof = cell.robot.dof
+    dof = cell.arm.robot.dof
     parts = [
         Part("table", shape_surface(cell.table.shape), COLOURS["table"], BASE),
         *(Part(s.name, shape_surface(s), COLOURS["obstacle"], BASE) for s in cell.obstacles),
-        *robot_parts(cell.robot, cell.T_world_base),
-        *gripper_parts(cell.end_effector, dof),
+        *robot_parts(cell.arm.robot, cell.arm.T_world_base),
+        *gripper_parts(cell.arm.end_effector, dof),
         Part("object", Patch(model.vertices, model.faces), COLOURS["object"], dof + 3),
     ]
     return [part._replace(surface=part.surface.creased()) for part in parts]
@@ -191,8 +191,8 @@ def _parts(model: ObjectModel, cell: Workcell) -> list[Part]:
 
 def _view(poses: FloatArray, cell: Workcell) -> tuple[FloatArray, FloatArray]:
     """Return where to look from and at what (3,) [m] to see objects at `poses` (N, 4, 4) and the arm."""
-    target = 0.6 * poses[:, :3, 3].mean(axis=0) + 0.4 * cell.T_world_base[:3, 3] + np.array([0.0, 0.0, 0.14])
-    away = target[:2] - cell.T_world_base[:2, 3]
+    target = 0.6 * poses[:, :3, 3].mean(axis=0) + 0.4 * cell.arm.T_world_base[:3, 3] + np.array([0.0, 0.0, 0.14])
+    away = target[:2] - cell.arm.T_world_base[:2, 3]
     away = away / np.linalg.norm(away) if np.linalg.norm(away) > 1e-3 else np.array([0.0, 1.0])
     return target + np.array([*(1.3 * away + 0.5 * np.array([away[1], -away[0]])), 0.75]), target
 
@@ -207,7 +207,7 @@ def _subtitle(plan: RegraspPlan, track: Track | None) -> str:
 
 def _picks_and_places(plan: RegraspPlan) -> tuple[FloatArray, list[Step], list[SharedGrasps]]:
     """Return the states in which every shared grasp picks and places, the steps of the clearest, and the grasps."""
-    dof, width = plan.problem.workcell.robot.dof, plan.problem.grasps.width
+    dof, width = plan.problem.workcell.arm.robot.dof, plan.problem.grasps.width
     if not plan.transitions:
         return _at_rest(plan.problem.workcell, plan.poses[:1]), [Step("start", -1, 0)], []
     energies = grasp_energies(plan) if has_energy(plan) else None
@@ -236,14 +236,14 @@ def scaled_colours(values: FloatArray, ends: tuple[float, float] | None = None) 
 def _at_rest(cell: Workcell, T_world_object: FloatArray) -> FloatArray:
     """Return the states of the arm at home with the object at each pose (N, 4, 4), at the origin without one."""
     T = T_world_object if len(T_world_object) else np.eye(4)[None]
-    home = np.tile(cell.robot.home, (len(T), 1))
-    bodies = body_poses(cell.robot, cell.T_world_base, home, np.zeros(len(T)))
+    home = np.tile(cell.arm.robot.home, (len(T), 1))
+    bodies = body_poses(cell.arm.robot, cell.arm.T_world_base, home, np.zeros(len(T)))
     return pose7(np.concatenate([bodies, T[:, None]], axis=1))
 
 
 def _states(plan: RegraspPlan, q: FloatArray, jaw: FloatArray, T_world_object: FloatArray) -> FloatArray:
     cell = plan.problem.workcell
-    bodies = body_poses(cell.robot, cell.T_world_base, q, jaw)
+    bodies = body_poses(cell.arm.robot, cell.arm.T_world_base, q, jaw)
     poses: FloatArray = pose7(np.concatenate([bodies, T_world_object[:, None]], axis=1))
     return poses
 

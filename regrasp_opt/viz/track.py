@@ -61,7 +61,7 @@ def track_of(plan: RegraspPlan, segments: Sequence[Segment], rate: float = RATE)
         jaw = np.interp(times - began, [0.0, duration], s.jaw)
         if s.phase.holds:
             carried.add(s.transition)
-            tcp = cell.T_world_base @ cell.robot.forward(q) @ cell.end_effector.T_flange_tcp
+            tcp = cell.arm.T_world_tcp(q)
             T = tcp @ invert(grasps.T_object_tcp[s.grasp_id])
         else:
             T = np.tile(plan.poses[s.transition + (s.transition in carried)], (len(times), 1, 1))

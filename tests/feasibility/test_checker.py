@@ -205,7 +205,8 @@ def test_rejected_because_the_gripper_is_in_the_table(bottle, graspable):
     T, grasp = graspable
     assert is_feasible(bottle, T, grasp)
     _, cell, grasps, _ = bottle
-    raised = replace(cell, table=replace(cell.table, height=float(grasps.T_object_tcp[grasp, 2, 3])))
+    there = translation(*cell.table.center, grasps.T_object_tcp[grasp, 2, 3])
+    raised = replace(cell, supports=(replace(cell.table, T_world_support=there),))
     assert not is_feasible(bottle, T, grasp, raised)
 
 
@@ -256,7 +257,7 @@ def test_rejected_because_of_joint_limits(bottle, graspable, tmp_path):
     assert text.count('lower="-2.618" upper="2.618"') == 2
     stiff = tmp_path / "stiff.urdf"
     stiff.write_text(text.replace('lower="-2.618" upper="2.618"', 'lower="-0.05" upper="0.05"'), encoding="utf-8")
-    cell = replace(bottle[1], robot=load_robot(stiff, tip="flange"))
+    cell = replace(bottle[1], arm=replace(bottle[1].arm, robot=load_robot(stiff, tip="flange")))
     assert len(bottle[3].branches(T[None], np.array([grasp])).q) > 0
     assert not is_feasible(bottle, T, grasp, cell)
     checker = FeasibilityChecker(bottle[0], cell, bottle[2])

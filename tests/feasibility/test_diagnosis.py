@@ -50,7 +50,7 @@ def test_an_object_in_the_way_comes_first(bottle_problem):
 
 def test_reach_and_table(bottle_problem):
     far = checker_of(
-        bottle_problem, table=replace(bottle_problem.workcell.table, size=np.array([9.0, 9.0])), obstacles=()
+        bottle_problem, supports=(replace(bottle_problem.workcell.table, size=np.array([9.0, 9.0])),), obstacles=()
     )
     assert causes(far, bottle_problem.pose(0, 3.0, 0.3)) == {Cause.OUT_OF_REACH}
     T = bottle_problem.pose(0, 0.2, 0.3)
@@ -126,7 +126,9 @@ def test_a_workspace_without_graspable_poses_says_why(tmp_path, monkeypatch):
     (tmp_path / "far.toml").write_text(text, "utf-8")
     cell = load_workcell(tmp_path / "far.toml")
     far = replace(
-        cell, bounds=WorkspaceBounds((0.0, 0.1), (0.9, 0.92)), table=replace(cell.table, size=np.array([3.0, 3.0]))
+        cell,
+        bounds=WorkspaceBounds((0.0, 0.1), (0.9, 0.92)),
+        supports=(replace(cell.table, size=np.array([3.0, 3.0])),),
     )
     problem = RegraspProblem.load("bottle", far)
     with pytest.raises(GraspError, match=r"in 30 tries: \d+ (out of reach|gripper in table|no inverse)"):

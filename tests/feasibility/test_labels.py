@@ -133,7 +133,7 @@ def test_progress_ends_at_what_was_wanted(task, tmp_path):
 
 def test_a_workspace_out_of_reach_ends_in_an_error(task, tmp_path):
     table = replace(task.workcell.table, size=np.array([20.0, 20.0]))
-    cell = replace(task.workcell, table=table, bounds=WorkspaceBounds((5.0, 6.0), (5.0, 6.0)))
+    cell = replace(task.workcell, supports=(table,), bounds=WorkspaceBounds((5.0, 6.0), (5.0, 6.0)))
     with pytest.raises(GraspError, match=r"anywhere in the workspace; of \d+ tried \d+ out of reach; move") as info:
         label_pairs(replace(task, workcell=cell), 50, folder=tmp_path, jobs=1)
     assert "\n" not in str(info.value)

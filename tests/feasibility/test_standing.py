@@ -8,8 +8,7 @@ import pytest
 from regrasp_opt.feasibility.geometry import static_bodies
 from regrasp_opt.feasibility.standing import resting_problem, standing_problem
 from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh, mesh_geometry, shape_geometry
-from regrasp_opt.scene import load_workcell
-from regrasp_opt.scene.workcell import Table
+from regrasp_opt.scene import Support, load_workcell
 
 HEIGHT = 0.2
 CORNERS = np.array(np.meshgrid([-0.03, 0.03], [-0.02, 0.02], [0.0, 0.1])).reshape(3, -1).T
@@ -18,8 +17,8 @@ MIDDLE = np.array([0.0, 0.0, 0.05])
 
 @pytest.fixture(scope="module")
 def cell():
-    table = Table(HEIGHT, np.array([0.1, 0.4]), np.array([0.6, 0.4]), 0.05)
-    return replace(load_workcell("nova2-w"), table=table)
+    table = Support.table(HEIGHT, np.array([0.1, 0.4]), np.array([0.6, 0.4]), 0.05)
+    return replace(load_workcell("nova2-w"), supports=(table,))
 
 
 def at(x=0.1, y=0.4, gap=0.0):
@@ -86,7 +85,10 @@ def test_fixed_bodies_stand_where_the_workcell_says(cell):
     pose = np.eye(4)
     pose[:3, 3] = 0.3, 0.5, 0.1
     moved = replace(cell, obstacles=(Box("crate", np.array([0.1, 0.1, 0.2]), pose),))
-    object.__setattr__(moved, "T_world_base", np.array([[0, -1, 0, 0.2], [1, 0, 0, 0], [0, 0, 1, 0.1], [0, 0, 0, 1.0]]))
+    moved = replace(
+        moved,
+        arm=replace(moved.arm, T_world_base=np.array([[0, -1, 0, 0.2], [1, 0, 0, 0], [0, 0, 1, 0.1], [0, 0, 0, 1.0]])),
+    )
     bodies = static_bodies(moved)
     base = [item for item in cell.robot.collision.geometryObjects if item.parentJoint == 0]
     assert [name for _, name in bodies] == ["the obstacle 'crate'"] + ["the robot's base"] * len(base)

@@ -11,8 +11,7 @@ from regrasp_opt.feasibility import FeasibilityChecker
 from regrasp_opt.geometry.shapes import Box
 from regrasp_opt.grasps import sample_grasps
 from regrasp_opt.objects import load_object
-from regrasp_opt.scene import load_workcell
-from regrasp_opt.scene.workcell import Table
+from regrasp_opt.scene import Support, load_workcell
 
 FAR = translation(5.0, 5.0, 0.5)
 
@@ -43,7 +42,7 @@ def configurations_near_the_table(robot, grasps):
 @pytest.mark.parametrize("size", [(1.4, 1.2), (0.3, 0.02)], ids=["wide table", "rail"])
 def test_arm_and_gripper_keep_clear_of_the_table_at_any_configuration(bottle, size):
     model, cell, grasps = bottle
-    cell = replace(cell, table=Table(0.02, np.array([0.0, 0.32]), np.array(size), 0.05))
+    cell = replace(cell, supports=(Support.table(0.02, np.array([0.0, 0.32]), np.array(size), 0.05),))
     checker, plain = FeasibilityChecker(model, cell, grasps), PlainCheck(model, cell, grasps)
     by_gripper = 0
     for number, q in enumerate(configurations_near_the_table(cell.robot, grasps)):
@@ -60,7 +59,7 @@ def test_arm_and_gripper_keep_clear_of_the_table_at_any_configuration(bottle, si
 
 def test_labels_above_a_rail_that_passes_between_the_corners_of_a_finger_equal_a_plain_loop(bottle):
     model, cell, grasps = bottle
-    cell = replace(cell, table=Table(0.0, np.array([0.0, 0.35]), np.array([0.6, 0.004]), 0.02))
+    cell = replace(cell, supports=(Support.table(0.0, np.array([0.0, 0.35]), np.array([0.6, 0.004]), 0.02),))
     poses = translation(0.0, 0.0, 0.002) @ resting_poses(model, [[-0.2, 0.3], [0.2, 0.4]], 15, 6)
     checker, plain = FeasibilityChecker(model, cell, grasps), PlainCheck(model, cell, grasps)
     expected = np.array([[plain.feasible(T, grasp) for grasp in range(len(grasps))] for T in poses])
@@ -76,8 +75,8 @@ def test_a_workcell_moved_and_turned_as_a_whole_has_the_same_labels(bottle):
     center = move @ np.array([*cell.table.center, cell.table.height, 1.0])
     moved = replace(
         cell,
-        T_world_base=move @ cell.T_world_base,
-        table=Table(float(center[2]), center[:2], cell.table.size[::-1].copy(), cell.table.thickness),
+        arm=replace(cell.arm, T_world_base=move @ cell.T_world_base),
+        supports=(Support.table(float(center[2]), center[:2], cell.table.size[::-1].copy(), cell.table.thickness),),
         obstacles=(replace(post, pose=move @ post.pose),),
     )
     poses = resting_poses(model, cell.bounds.array, 30, 7)

@@ -16,8 +16,7 @@ from regrasp_opt.geometry.shapes import Mesh, mesh_geometry, shape_geometry, sur
 from regrasp_opt.grasps import sample_grasps
 from regrasp_opt.objects import load_object
 from regrasp_opt.robots import load_robot
-from regrasp_opt.scene import load_workcell
-from regrasp_opt.scene.workcell import Table
+from regrasp_opt.scene import Support, load_workcell
 
 
 def rule(cell, grasps, placements):
@@ -32,7 +31,7 @@ def rule(cell, grasps, placements):
 def test_no_feasible_grasp_is_ruled_out(name, cell_name, size):
     cell = load_workcell(cell_name)
     table = cell.table
-    cell = replace(cell, table=Table(table.height, table.center, np.array(size), table.thickness))
+    cell = replace(cell, supports=(Support.table(table.height, table.center, np.array(size), table.thickness),))
     model = load_object(name)
     grasps = sample_grasps(model, cell.end_effector, 60, seed=2)
     placements = np.array([p.pose for p in model.placements])
@@ -134,7 +133,7 @@ def heights(geometry, T):
 @pytest.mark.parametrize("thickness", [0.05, 0.004])
 def test_grasps_with_a_body_as_low_as_the_table_have_a_point_and_no_others(name, thickness):
     cell = load_workcell(name)
-    cell = replace(cell, table=Table(0.03, cell.table.center, cell.table.size, thickness))
+    cell = replace(cell, supports=(Support.table(0.03, cell.table.center, cell.table.size, thickness),))
     model = load_object("mug")
     grasps, effector = sample_grasps(model, cell.end_effector, 12, seed=3), cell.end_effector
     raised = [translation(0.1, 0.0, z) @ p.pose for p in model.placements for z in (-0.1, 0.0, 0.06)]
@@ -160,7 +159,11 @@ def test_a_mesh_of_the_gripper_is_in_the_table_where_its_lowest_point_is(thickne
     tower = trimesh.creation.box((0.12, 0.08, 0.1))
     body = Mesh("tower", np.array(tower.vertices), np.array(tower.faces), translation(0.0, 0.0, 0.05))
     effector = replace(cell.end_effector, body=(body,))
-    cell = replace(cell, end_effector=effector, table=Table(0.03, cell.table.center, cell.table.size, thickness))
+    cell = replace(
+        cell,
+        arm=replace(cell.arm, end_effector=effector),
+        supports=(Support.table(0.03, cell.table.center, cell.table.size, thickness),),
+    )
     grasps = sample_grasps(model, load_workcell("nova2-s1").end_effector, 12, seed=3)
     raised = np.array([translation(0.1, 0.0, z) @ p.pose for p in model.placements for z in (-0.1, 0.0, 0.06)])
     T_world_flange = raised[:, None] @ grasps.T_object_tcp @ effector.T_tcp_flange
@@ -168,7 +171,8 @@ def test_a_mesh_of_the_gripper_is_in_the_table_where_its_lowest_point_is(thickne
     corners += T_world_flange[..., None, :3, 3]
     lowest = corners[..., 2].min(axis=2)
     expected = (lowest >= 0.03 - thickness) & (lowest < 0.03 + cell.clearance.gripper)
-    alone = np.isnan(points_in_table(replace(cell, end_effector=replace(effector, body=())), grasps, raised)[..., 0])
+    bare = replace(cell, arm=replace(cell.arm, end_effector=replace(effector, body=())))
+    alone = np.isnan(points_in_table(bare, grasps, raised)[..., 0])
     found = np.isfinite(points_in_table(cell, grasps, raised)).all(axis=2)
     assert 0 < expected[alone].mean() < 1  # where the wrist is above the table
     np.testing.assert_array_equal(found, expected | ~alone)

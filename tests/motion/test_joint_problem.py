@@ -82,10 +82,9 @@ def test_states_are_free_and_on_their_grasps(plan, bottle_problem):
     states = states_at(bottle_problem.checker, T, ids)
     cell = bottle_problem.workcell
     assert set(states.grasp_ids) == set(ids.tolist()) and len(states.q) > 3
-    wanted = (
-        cell.T_base_world @ T @ bottle_problem.grasps.T_object_tcp[states.grasp_ids] @ cell.end_effector.T_tcp_flange
+    np.testing.assert_allclose(
+        cell.arm.T_world_tcp(states.q), T @ bottle_problem.grasps.T_object_tcp[states.grasp_ids], atol=1e-6
     )
-    np.testing.assert_allclose(cell.robot.forward(states.q), wanted, atol=1e-6)
     for k in range(0, len(states.q), 40):
         assert bottle_problem.checker.is_free(T, int(states.grasp_ids[k]), states.q[k])
 

@@ -168,7 +168,7 @@ def test_rails_are_driven_along_their_axes(motion, tmp_path, q):
     path = tmp_path / "arm.urdf"
     path.write_text(RAIL, encoding="utf-8")
     plan, grasp, robot = motion.plan, first(motion, Phase.GRASP), load_robot(path)
-    cell = replace(plan.problem.workcell, robot=robot)
+    cell = replace(plan.problem.workcell, arm=replace(plan.problem.workcell.arm, robot=robot))
     tcp = cell.T_world_base @ robot.forward(q) @ np.linalg.inv(cell.end_effector.T_tcp_flange)
     poses = plan.poses.copy()
     poses[0] = tcp @ np.linalg.inv(plan.problem.grasps.T_object_tcp[grasp.grasp_id])

@@ -197,7 +197,8 @@ def test_what_is_fixed_to_a_link_may_not_touch_the_next_one(bottle_problem, plan
     text += '<link name="bracket"><collision><geometry><sphere radius="0.02"/></geometry></collision></link>'
     text += f'<joint name="to_bracket" type="fixed"><origin xyz="{" ".join(map(str, in_3))}"/>'
     (tmp_path / "arm.urdf").write_text(f'{text}<parent link="link2"/><child link="bracket"/></joint></robot>')
-    cell = replace(bottle_problem.workcell, robot=load_robot(tmp_path / "arm.urdf", tip="flange", home=robot.home))
+    arm = replace(bottle_problem.workcell.arm, robot=load_robot(tmp_path / "arm.urdf", tip="flange", home=robot.home))
+    cell = replace(bottle_problem.workcell, arm=arm)
     assert set(cell.robot.colliding_links(q)) == {"bracket", "link3"}
     said = body_verifier(bottle_problem.object, cell).collisions(q, plan.poses[0], 0.06)
     assert any("bracket" in text and "link3" in text for text in said)

@@ -8,7 +8,7 @@ import pytest
 
 from regrasp_opt import RegraspProblem, solve_sequence
 from regrasp_opt.planning.tasks import random_task
-from regrasp_opt.scene import Table
+from regrasp_opt.scene import Support
 
 
 @pytest.mark.parametrize("name", ["bottle", "mug", "pentagon", "figurine"])
@@ -116,8 +116,8 @@ def test_an_object_over_the_edge_of_the_table(plan, i):
     def refused(points, margin):
         """Whether the pose is refused on a table that reaches `margin` beyond `points`."""
         low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
-        table = Table(0.0, (low + high) / 2, high - low, cell.table.thickness)
-        problem = replace(plan.problem, workcell=replace(cell, table=table))
+        table = Support.table(0.0, (low + high) / 2, high - low, cell.table.thickness)
+        problem = replace(plan.problem, workcell=replace(cell, supports=(table,)))
         texts = replace(plan, problem=problem, transitions=()).residuals().problems
         return f"the object stands over the edge of the table at pose {i}" in texts
 

@@ -21,7 +21,7 @@ from regrasp_opt.motion import plan_motion
 from regrasp_opt.objects import ObjectModel, stable_placements
 from regrasp_opt.planning.residuals import _end_violations
 from regrasp_opt.planning.tasks import random_task
-from regrasp_opt.scene import Table
+from regrasp_opt.scene import Support
 
 
 def _on_table(problem, rotation):
@@ -65,7 +65,7 @@ def test_every_stable_placement_can_be_a_start(bottle_problem):
 
 def test_an_object_over_the_table_edge_does_not_stand(bottle_problem):
     cell = bottle_problem.workcell
-    small = dataclasses.replace(cell, table=Table(0.0, np.array([0.0, 0.35]), np.array([0.6, 0.6]), 0.05))
+    small = dataclasses.replace(cell, supports=(Support.table(0.0, np.array([0.0, 0.35]), np.array([0.6, 0.6]), 0.05),))
     vertices = bottle_problem.object.vertices
     for x, problem in ((0.0, None), (0.29, "stands over the edge of the table")):
         T = bottle_problem.pose(0, x, 0.35)

@@ -8,7 +8,7 @@ import trimesh
 
 from regrasp_opt.conventions import invert, translation
 from regrasp_opt.geometry.shapes import Box, surface_points
-from regrasp_opt.scene import Table
+from regrasp_opt.scene import Support
 
 SIZE = np.full(3, 0.01)
 
@@ -53,7 +53,8 @@ def with_part_of_the_object(plan, center):
 def with_part_of_the_gripper(plan, T_world_flange, center):
     effector = plan.problem.workcell.end_effector
     stick = Box("stick", SIZE, invert(T_world_flange) @ translation(*center))
-    return with_cell(plan, end_effector=replace(effector, body=(*effector.body, stick)))
+    effector = replace(effector, body=(*effector.body, stick))
+    return with_cell(plan, arm=replace(plan.problem.workcell.arm, end_effector=effector))
 
 
 def pick_problem(plan):
@@ -107,15 +108,16 @@ def test_the_table_in_the_gripper(held, places):
     effector = held.problem.workcell.end_effector
     points = np.concatenate([surface_points(s) for s in (*effector.body, *effector.finger_boxes(0.0))])
     lowest = (points @ places["flange"][2, :3] + places["flange"][2, 3]).min()
-    table = replace(held.problem.workcell.table, height=float(lowest) + 0.005)
-    pair = pick_problem(with_cell(held, table=table))
+    table = held.problem.workcell.table
+    table = replace(table, T_world_support=translation(*table.center, float(lowest) + 0.005))
+    pair = pick_problem(with_cell(held, supports=(table,)))
     assert "table" in pair and any(name.startswith("gripper") for name in pair)
 
 
 def test_the_table_in_a_link(held, places):
     x, y, z = places["link3_1"][:3, 3]
-    pillar = Table(z + 0.005, np.array([x, y]), np.array([0.01, 0.01]), 0.01)
-    pair = pick_problem(with_cell(held, table=pillar))
+    pillar = Support.table(z + 0.005, np.array([x, y]), np.array([0.01, 0.01]), 0.01)
+    pair = pick_problem(with_cell(held, supports=(pillar,)))
     assert "table" in pair and any(name.startswith("link3") for name in pair)
 
 

@@ -100,7 +100,7 @@ def test_the_base_stands_where_the_file_says(write):
     np.testing.assert_allclose(
         cell.T_world_base, [[c, -s, 0, 0.1], [s, c, 0, 0], [0, 0, 1, 0.2], [0, 0, 0, 1]], atol=1e-15
     )
-    np.testing.assert_allclose(cell.T_base_world @ cell.T_world_base, np.eye(4), atol=1e-15)
+    np.testing.assert_allclose(cell.arm.T_base_world @ cell.T_world_base, np.eye(4), atol=1e-15)
 
 
 def test_obstacles_of_every_type(write, part, monkeypatch):

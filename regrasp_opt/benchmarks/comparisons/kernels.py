@@ -206,7 +206,7 @@ def _plain_loop(problem: RegraspProblem, T: FloatArray) -> BoolArray:
             continue
         for g in ids.tolist():
             scene.set_grasp(g)
-            T_world_flange = pose @ grasps.T_object_tcp[g] @ cell.end_effector.T_tcp_flange
-            branches = cell.robot.solve_ik(cell.T_base_world @ T_world_flange).q
+            T_world_flange = pose @ grasps.T_object_tcp[g] @ cell.arm.end_effector.T_tcp_flange
+            branches = cell.arm.robot.solve_ik(cell.arm.T_base_world @ T_world_flange).q
             labels[b, g] = any(not scene.collides(q) for q in branches)
     return labels

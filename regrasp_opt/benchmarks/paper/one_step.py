@@ -102,7 +102,7 @@ def _run(session: Session, *, unseen: bool) -> Report:
 def _with_unseen_grasps(problem: RegraspProblem) -> RegraspProblem:
     unseen = sample_grasps(
         problem.object,
-        problem.workcell.end_effector,
+        problem.workcell.arm.end_effector,
         len(problem.grasps),
         seed=UNSEEN_SEED,
         exclude=problem.grasps,

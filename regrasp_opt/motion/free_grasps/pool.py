@@ -38,7 +38,7 @@ class GraspPool:
         grasps = problem.grasps
         self.T, self.width, self.sampled = list(grasps.T_object_tcp), grasps.width.tolist(), len(grasps)
         self._problem, self._ends, self._rng, self._kind = problem, ends, rng, grasps.kind
-        self._settler = GraspProjector(problem.object, problem.workcell.end_effector)
+        self._settler = GraspProjector(problem.object, problem.workcell.arm.end_effector)
         self._grade = self._settler.worst_grade(grasps)
         self._verified = np.zeros((len(ends), 0), dtype=bool)
 

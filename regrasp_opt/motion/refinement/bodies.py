@@ -87,9 +87,9 @@ def _box_around(geometry: Any) -> tuple[FloatArray, FloatArray]:
 def configuration_rows(problem: RegraspProblem) -> Rows:
     """Return the distances of arm and gripper, a function of ``q`` (dof,), ``T`` (4, 4) T_world_object, ``width``."""
     cell = problem.workcell
-    robot, effector, clearance, near = cell.robot, cell.end_effector, cell.clearance, arm_pairs(cell)
+    robot, effector, clearance, near = cell.arm.robot, cell.arm.end_effector, cell.clearance, arm_pairs(cell)
     q, T, width = ca.SX.sym("q", robot.dof), ca.SX.sym("T", 4, 4), ca.SX.sym("width")
-    T_world_base = ca.SX(ca.DM(cell.T_world_base))
+    T_world_base = ca.SX(ca.DM(cell.arm.T_world_base))
     T_joint = [T_world_base @ placement for placement in joint_placements(robot.model, q)]
     arm, joints = _arm_capsules(robot)
     arm = [capsule.moved(T_joint[joint]) for capsule, joint in zip(arm, joints, strict=True)]
@@ -126,8 +126,8 @@ def object_rows(problem: RegraspProblem) -> Rows:
     cell = problem.workcell
     T = ca.SX.sym("T", 4, 4)
     held = covering_capsule("object", mesh_geometry(problem.object.vertices, problem.object.faces)).moved(T)
-    T_world_base = ca.SX(ca.DM(cell.T_world_base))
-    capsules, joints = _arm_capsules(cell.robot)
+    T_world_base = ca.SX(ca.DM(cell.arm.T_world_base))
+    capsules, joints = _arm_capsules(cell.arm.robot)
     needed, still = cell.clearance.gripper, _own_obstacles(problem)
     base = [c.moved(T_world_base) for i, c in enumerate(capsules) if joints[i] == 0 and i not in still]
     rows = [(_between(held, body), f"object and {body.name}", False, needed) for body in base]
@@ -171,8 +171,8 @@ def _solid(shape: Shape) -> _Solid:
 def _own_obstacles(problem: RegraspProblem) -> dict[int, _Solid]:
     """Return the bodies of the robot that count as obstacles, in the world, by their index."""
     cell = problem.workcell
-    items = {i: cell.robot.collision.geometryObjects[i] for i in sorted(cell.robot.obstacles)}
-    poses = {i: cell.T_world_base @ item.placement.homogeneous for i, item in items.items()}
+    items = {i: cell.arm.robot.collision.geometryObjects[i] for i in sorted(cell.arm.robot.obstacles)}
+    poses = {i: cell.arm.T_world_base @ item.placement.homogeneous for i, item in items.items()}
     return {i: _Solid(item.name, item.geometry, poses[i]) for i, item in items.items()}
 
 

@@ -36,7 +36,7 @@ class States(NamedTuple):
 
 def states_at(checker: FeasibilityChecker, T: FloatArray, grasp_ids: IntArray) -> States:
     """Return all free configurations of `grasp_ids` (K,) at object pose `T` (4, 4)."""
-    robot = checker.workcell.robot
+    robot = checker.workcell.arm.robot
     branches = checker.configurations(T, grasp_ids)
     ids = np.repeat(grasp_ids, [len(q) for q in branches])
     q = np.concatenate([np.zeros((0, robot.dof)), *branches])

@@ -125,8 +125,8 @@ def measure_choice(
 ) -> JointMeasures:
     """Return the measures of `choice` at `poses` (N+2, 4, 4), whose ``J_seq`` is `cost`; `home` same as in `travel`."""
     least = clearances(problem, poses, choice).min()
-    q = choice.q.reshape(-1, problem.workcell.robot.dof)
-    least_manipulability = manipulability(problem.workcell.robot, q).min()
+    q = choice.q.reshape(-1, problem.workcell.arm.robot.dof)
+    least_manipulability = manipulability(problem.workcell.arm.robot, q).min()
     return JointMeasures(travel(q, home), float(least), float(least_manipulability), float(cost))
 
 

@@ -68,13 +68,13 @@ class JointFunctions(NamedTuple):
 def joint_functions(problem: RegraspProblem) -> JointFunctions:
     """Return the shared functions of `problem`."""
     cell = problem.workcell
-    q, T_target = ca.SX.sym("q", cell.robot.dof), ca.SX.sym("T", 4, 4)
-    T = ca.SX(ca.DM(cell.T_world_base)) @ forward_kinematics(cell.robot)(q)
+    q, T_target = ca.SX.sym("q", cell.arm.robot.dof), ca.SX.sym("T", 4, 4)
+    T = ca.SX(ca.DM(cell.arm.T_world_base)) @ forward_kinematics(cell.arm.robot)(q)
     turn = T_target[:3, :3].T @ T[:3, :3]
     skew = (turn - turn.T) / 2
     rows = ca.vertcat((T[:3, 3] - T_target[:3, 3]) / POSITION_UNIT, skew[2, 1], skew[0, 2], skew[1, 0])
     residual = ca.Function("residual", [q, T_target], [rows, ca.jacobian(rows, q)], ["q", "T"], ["r", "J"])
-    J = flange_jacobian(cell.robot)(q)
+    J = flange_jacobian(cell.arm.robot)(q)
     D, _, _ = ca.ldl(ca.densify(J @ J.T + 1e-12 * ca.SX.eye(6)))
     square = D[0] * D[1] * D[2] * D[3] * D[4] * D[5]
     manipulability = ca.Function("manipulability", [q], [ca.sqrt(ca.fmax(square, 1e-16))], ["q"], ["w"])
@@ -160,7 +160,7 @@ def solve_joint(
     OptionError
         If Ipopt refuses an option.
     """
-    robot, size = problem.workcell.robot, len(task.xi)
+    robot, size = problem.workcell.arm.robot, len(task.xi)
     low, high = ([*side, e] for side, e in zip(problem.workcell.bounds.array, (-np.inf, np.inf), strict=True))
     nlp = NonlinearProgram()
     xi = nlp.variable("xi", (size, 3), lower=low, upper=high, guess=task.xi)

@@ -123,7 +123,7 @@ def refine_plan(
 
 
 def _checked_home(home: ArrayLike, problem: RegraspProblem) -> FloatArray:
-    robot = problem.workcell.robot
+    robot = problem.workcell.arm.robot
     try:
         q = np.asarray(home, dtype=np.float64)
     except (TypeError, ValueError) as error:

@@ -170,7 +170,7 @@ class JointSearch:
             (states_at(self.problem.checker, a, ids), states_at(self.problem.checker, b, ids))
             for (a, b), ids in zip(itertools.pairwise(self.poses(xi)), shared, strict=True)
         ]
-        rest = self.home, self.options.starts, self.problem.workcell.robot.nearest_equivalent
+        rest = self.home, self.options.starts, self.problem.workcell.arm.robot.nearest_equivalent
         choices = best_choices(layers, self.minimise, self.bounds, *rest)
         if not choices:
             self.problem_found = unreachable(layers, self.bounds)
@@ -180,7 +180,7 @@ class JointSearch:
     def _solved(self, xi: FloatArray, choice: JointChoice) -> Candidate | None:
         """Return what Ipopt makes of a choice, verified; None where it fails or nothing of its step can be verified."""
         problem, plan = self.problem, self._plan
-        grasps, effector = problem.grasps, problem.workcell.end_effector
+        grasps, effector = problem.grasps, problem.workcell.arm.end_effector
         task = JointTask(
             placements=problem.placement_poses[plan.placements],
             ends=plan.poses[[0, -1]],
@@ -239,7 +239,7 @@ class JointSearch:
 
     def _refusal(self, xi: FloatArray, choice: JointChoice) -> str:
         """Return what the exact checker has against a choice; empty where it is verified."""
-        checker, robot = self.problem.checker, self.problem.workcell.robot
+        checker, robot = self.problem.checker, self.problem.workcell.arm.robot
         low, high = self.problem.workcell.bounds.array
         if (xi[:, :2] < low - 1e-9).any() or (xi[:, :2] > high + 1e-9).any():
             return "a pose lies outside the workspace"

@@ -60,7 +60,7 @@ class MotionScene:
 
     def __init__(self, problem: RegraspProblem) -> None:
         self._problem = problem
-        self._model = problem.workcell.robot.model
+        self._model = problem.workcell.arm.robot.model
         self._data = self._model.createData()
         hull = ConvexHull(problem.object.vertices)
         self._corners = problem.object.vertices[hull.vertices]
@@ -72,12 +72,12 @@ class MotionScene:
 
         The arm keeps its clearance from the object; the gripper must not touch it.
         """
-        arrangement = _Arrangement(self._problem.workcell.T_base_world @ T_world_object, openings)
+        arrangement = _Arrangement(self._problem.workcell.arm.T_base_world @ T_world_object, openings)
         return CollisionContext(self._tester(self._free, arrangement, "all"), self._free.reach_of(arrangement))
 
     def closing(self, T_world_object: FloatArray, openings: tuple[float, float]) -> CollisionContext:
         """Return the setting in which the jaw closes on, or lets go of, the object at (4, 4), and may touch it."""
-        arrangement = _Arrangement(self._problem.workcell.T_base_world @ T_world_object, openings)
+        arrangement = _Arrangement(self._problem.workcell.arm.T_base_world @ T_world_object, openings)
         return CollisionContext(self._tester(self._free, arrangement, "touching"), self._free.reach_of(arrangement))
 
     def holding(self, grasp_id: int) -> CollisionContext:
@@ -96,7 +96,7 @@ class MotionScene:
         cell = self._problem.workcell
         lowest = float((self._corners @ T_world_rest[2, :3]).min() + T_world_rest[2, 3])
         floor = min(lowest, cell.table.height)
-        up, joint = cell.T_world_base[2], self._held.tip_joint
+        up, joint = cell.arm.T_world_base[2], self._held.tip_joint
 
         def passes(q: FloatArray, level: int) -> bool:
             if not tester(q, level):
@@ -108,7 +108,7 @@ class MotionScene:
         return CollisionContext(passes, self._held.reach_of(arrangement))
 
     def _in_hand(self, grasp_id: int) -> _Arrangement:
-        grasps, effector = self._problem.grasps, self._problem.workcell.end_effector
+        grasps, effector = self._problem.grasps, self._problem.workcell.arm.end_effector
         width = float(grasps.width[grasp_id])
         T_flange_object = effector.T_flange_tcp @ invert(grasps.T_object_tcp[grasp_id])
         return _Arrangement(self._held.T_joint_flange @ T_flange_object, (width, width))
@@ -135,7 +135,7 @@ class _Bodies:
     """A geometry model of everything that can collide, with one set of required distances for each level."""
 
     def __init__(self, problem: RegraspProblem, data: Any, *, held: bool) -> None:
-        cell, robot, effector = problem.workcell, problem.workcell.robot, problem.workcell.end_effector
+        cell, robot, effector = problem.workcell, problem.workcell.arm.robot, problem.workcell.arm.end_effector
         self._robot, self._effector = robot, effector
         self._data: list[pin.GeometryData] = []  # a manager does not keep its data alive
         self.geometry = robot.collision.copy()
@@ -151,8 +151,8 @@ class _Bodies:
         mesh = mesh_geometry(problem.object.vertices, problem.object.faces)
         self._object = self._add("object", mesh, np.eye(4), held)
         table = cell.table.shape
-        fixed = [self._add(s.name, shape_geometry(s), cell.T_base_world @ s.pose, False) for s in cell.obstacles]
-        top = self._add(table.name, shape_geometry(table), cell.T_base_world @ table.pose, False)
+        fixed = [self._add(s.name, shape_geometry(s), cell.arm.T_base_world @ s.pose, False) for s in cell.obstacles]
+        top = self._add(table.name, shape_geometry(table), cell.arm.T_base_world @ table.pose, False)
 
         near = cell.clearance
         gripper, moving, own = [*palm, *fingers], [i for i in arm if self._joint(i) != _WORLD], arm_pairs(cell)

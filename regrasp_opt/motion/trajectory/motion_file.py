@@ -71,7 +71,7 @@ def motion_content(motion: MotionData) -> dict[str, Any]:
         "kind": "motion",
         "status": motion.status.name.lower(),
         "reason": motion.reason,
-        "joint_names": list(motion.plan.problem.workcell.robot.joint_names),
+        "joint_names": list(motion.plan.problem.workcell.arm.robot.joint_names),
         "velocity_limits": motion.velocity_limits.tolist(),
         "acceleration_limits": motion.acceleration_limits.tolist(),
         "seconds": motion.seconds,
@@ -102,7 +102,7 @@ def load_motion(path: str | os.PathLike[str], kind: type[Motion]) -> Motion:
     path = Path(path)
     content = _parse(read_json(path, "motion"), path)
     plan = plan_from_content(content.plan, path, RegraspPlan)
-    robot = plan.problem.workcell.robot
+    robot = plan.problem.workcell.arm.robot
     limits = [np.array(row, dtype=np.float64) for row in (content.velocity_limits, content.acceleration_limits)]
     if tuple(content.joint_names) != robot.joint_names or any(limit.shape != (robot.dof,) for limit in limits):
         raise PlanFileError(f"'{path}' is a motion of other joints than those of '{robot.name}'; plan the motion again")
@@ -130,7 +130,7 @@ def _parse(raw: Any, path: Path) -> _File:
 
 
 def _segment(record: _Segment, plan: RegraspPlan, path: Path) -> Segment:
-    count, dof = len(record.times), plan.problem.workcell.robot.dof
+    count, dof = len(record.times), plan.problem.workcell.arm.robot.dof
     rows = [*record.positions, *record.velocities]
     if record.phase not in _PHASES:
         raise PlanFileError(f"'{path}': unknown phase '{record.phase}'; known: {', '.join(_PHASES)}")
@@ -167,7 +167,7 @@ def save_motion_csv(motion: MotionData, path: str | os.PathLike[str], step: floa
         raise OptionError(
             f"step is {step}, which makes more than {MOST_ROWS:,} rows of {motion.duration:.0f} s; give a larger one"
         )
-    names = motion.plan.problem.workcell.robot.joint_names
+    names = motion.plan.problem.workcell.arm.robot.joint_names
     times = np.append(np.arange(0.0, motion.duration - step / 2, step), motion.duration)
     with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)

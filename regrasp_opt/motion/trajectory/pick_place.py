@@ -65,7 +65,7 @@ class PickPlaceMotion:
         self._tools, self._index, self._grasped, self._start = tools, index, grasped, start
         self._T_pick, self._T_place = tools.plan.poses[index : index + 2]
         self._width = float(problem.grasps.width[grasped.grasp_id])
-        self._open = self._width + 2 * problem.workcell.end_effector.pre_opening
+        self._open = self._width + 2 * problem.workcell.arm.end_effector.pre_opening
         self._homeward = tools.home if index == len(tools.plan.transitions) - 1 else None
         self._lines: dict[Phase, Trajectory] = {}
         self._refused: set[tuple[Phase, bool]] = set()
@@ -177,7 +177,7 @@ class PickPlaceMotion:
     def _grips(self, q: FloatArray, T_world_object: FloatArray) -> bool:
         """Return whether the arm at `q` (dof,) holds the grasp, with room for the jaw; plans may come from files."""
         cell, grasps = self._tools.plan.problem.workcell, self._tools.plan.problem.grasps
-        T_world_tcp = cell.T_world_base @ cell.robot.forward(q) @ cell.end_effector.T_flange_tcp
+        T_world_tcp = cell.arm.T_world_tcp(q)
         distance, angle = pose_distance(T_world_tcp, T_world_object @ grasps.T_object_tcp[self._grasped.grasp_id])
         if distance > FK_POSITION_TOLERANCE or angle > FK_ROTATION_TOLERANCE:
             return False
@@ -189,8 +189,8 @@ class PickPlaceMotion:
             self._tools.plan.problem.workcell,
             self._tools.scene.lifting(self._grasped.grasp_id, T_world_object),
         )
-        flange = cell.robot.forward(q)
-        up = cell.T_base_world[:3, 2]
+        flange = cell.arm.robot.forward(q)
+        up = cell.arm.T_base_world[:3, 2]
         directions = up[None]
         if tilted:
             sideways = np.cross(up, flange[:3, 3])
@@ -205,7 +205,7 @@ class PickPlaceMotion:
     def _back(self, q: FloatArray, T_world_object: FloatArray, tilted: bool) -> Trajectory | None:
         """Return the straight retreat of the open jaw from the object at (4, 4), back along the tool's axis."""
         context = self._tools.scene.beside(T_world_object, (self._open, self._open))
-        x, _, z = self._tools.plan.problem.workcell.robot.forward(q)[:3, :3].T
+        x, _, z = self._tools.plan.problem.workcell.arm.robot.forward(q)[:3, :3].T
         directions = np.array([-z - TILT * x, -z + TILT * x] if tilted else [-z])
         return self._tools.connector.away(context, q, _units(directions))
 

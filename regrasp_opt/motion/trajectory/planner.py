@@ -61,7 +61,7 @@ def plan_motion(plan: RegraspPlan, options: MotionOptions | None = None) -> Moti
     """
     options = options or MotionOptions()
     began = time.perf_counter()
-    robot = plan.problem.workcell.robot
+    robot = plan.problem.workcell.arm.robot
     connector, home = Connector.of(robot, options), options.home_of(robot)
     with one_blas_thread():
         result = _plan(plan, options, connector, home)
@@ -80,7 +80,7 @@ def _plan(plan: RegraspPlan, options: MotionOptions, connector: Connector, home:
         return _Result(MotionStatus.NO_PLAN, f"the plan's status is {plan.status.name.lower()}")
     scene = MotionScene(plan.problem)
     for T, where in ((plan.poses[0], "start"), (plan.poses[-1], "goal")):
-        context = scene.beside(T, (0.0, plan.problem.workcell.end_effector.max_opening))
+        context = scene.beside(T, (0.0, plan.problem.workcell.arm.end_effector.max_opening))
         if home is not None and not context.passes(home, len(LEVELS) - 1):
             return _Result(MotionStatus.HOME_BLOCKED, f"the arm at home collides with the object at the {where}")
     held = [_held(plan.problem, transition) for transition in plan.transitions]
@@ -104,7 +104,7 @@ def _plan(plan: RegraspPlan, options: MotionOptions, connector: Connector, home:
 
 def _held(problem: RegraspProblem, transition: Transition) -> Transition:
     """Return `transition` without the grasps that do not hold the object: a plan may come from a file."""
-    grasps, effector = problem.grasps.subset(transition.grasp_ids), problem.workcell.end_effector
+    grasps, effector = problem.grasps.subset(transition.grasp_ids), problem.workcell.arm.end_effector
     keep = [k for k, failure in enumerate(hold_failures(grasps, problem.object, effector)) if failure is None]
     t = transition
     return Transition(t.grasp_ids[keep], t.q_pick[keep], t.q_place[keep], t.clearance[keep])
@@ -159,7 +159,7 @@ class _Transition:
 
     def _nearest(self, holds: Iterable[Grasped]) -> list[Grasped]:
         """Return the first of `holds`, whole turns added joint by joint, by how long straight moves would take."""
-        robot, tools, start = self._tools.plan.problem.workcell.robot, self._tools, self._start.q
+        robot, tools, start = self._tools.plan.problem.workcell.arm.robot, self._tools, self._start.q
         homeward = tools.home if self._index == len(tools.plan.transitions) - 1 else None
         found = list[tuple[float, Grasped]]()
         for grasped in holds:

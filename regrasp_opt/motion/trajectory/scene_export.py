@@ -37,7 +37,7 @@ def save_scene(plan: RegraspPlan, folder: str | os.PathLike[str]) -> None:
     """
     folder = Path(folder)
     problem = plan.problem
-    cell, robot = problem.workcell, problem.workcell.robot
+    cell, robot = problem.workcell, problem.workcell.arm.robot
     _write_xml(_robot(robot), folder / "robot.urdf")
     _write_xml(_gripper(plan, folder), folder / "gripper.urdf")
     fixed = [("table", cell.table.shape), *((s.name, s) for s in cell.obstacles)]
@@ -48,9 +48,9 @@ def save_scene(plan: RegraspPlan, folder: str | os.PathLike[str]) -> None:
         "schema": SCHEMA,
         "joint_names": list(robot.joint_names),
         "flange_link": robot.tip_frame,
-        "T_world_base": cell.T_world_base.tolist(),
+        "T_world_base": cell.arm.T_world_base.tolist(),
         "T_flange_gripper": np.eye(4).tolist(),
-        "T_gripper_tcp": cell.end_effector.T_flange_tcp.tolist(),
+        "T_gripper_tcp": cell.arm.end_effector.T_flange_tcp.tolist(),
         "home": robot.home.tolist(),
         "object_poses": plan.poses.tolist(),
         "object_in_hand": [
@@ -79,7 +79,7 @@ def _robot(robot: Robot) -> ET.Element:
 
 
 def _gripper(plan: RegraspPlan, folder: Path) -> ET.Element:
-    effector = plan.problem.workcell.end_effector
+    effector = plan.problem.workcell.arm.end_effector
     root = ET.Element("robot", name=effector.name)
     palm = ET.SubElement(root, "link", name="gripper")
     for shape in effector.body:
