@@ -75,6 +75,11 @@ def verifier_of(cell, thing, workcell, reference):
     return PlanVerifier({"workcell": json.loads(workcell), "object": json.loads(reference)})
 
 
+def _name(cell, thing):
+    """Return what the files of an object in a cell begin with; a mesh may be called like a built-in object."""
+    return f"{cell}-{Path(thing).name.replace('.', '_')}"
+
+
 def plan_trial(folder, seed, cell, thing, number):
     """Plan between two random poses, verify the plan, and keep it."""
     from regrasp_opt import solve_sequence
@@ -93,7 +98,7 @@ def plan_trial(folder, seed, cell, thing, number):
     row = {"status": plan.status.name.lower(), "seconds": round(time.perf_counter() - began, 3)}
     if not plan.solved:
         return row
-    path = folder / "plans" / f"{cell}-{Path(thing).stem}-{number}.json"
+    path = folder / "plans" / f"{_name(cell, thing)}-{number}.json"
     plan.save(path)
     content = json.loads(path.read_text("utf-8"))
     verifier = verifier_of(cell, thing, json.dumps(content["workcell"]), json.dumps(content["object"]))
@@ -112,7 +117,7 @@ def motion_trial(folder, seed, cell, thing, number):
     from regrasp_opt import RegraspPlan
     from regrasp_opt.motion import plan_motion
 
-    kept = sorted(folder.glob(f"plans/{cell}-{Path(thing).stem}-*.json"), key=lambda p: int(p.stem.rsplit("-", 1)[1]))
+    kept = sorted(folder.glob(f"plans/{_name(cell, thing)}-*.json"), key=lambda p: int(p.stem.rsplit("-", 1)[1]))
     if not kept:
         return {"status": "no_plan"}
     path = kept[(2 * number + 1) % len(kept)]
