@@ -124,7 +124,10 @@ def plan(
     goal: Annotated[str | None, typer.Option(metavar="POSE", help="Same as --start.")] = None,
     refiner: Annotated[
         str,
-        typer.Option(help="ipopt, lattice, langevin, langevin-ipopt or paper.", autocompletion=names(REFINERS)),
+        typer.Option(
+            help="ipopt, lattice, langevin, langevin-ipopt, paper, or exact, which needs no prepared model.",
+            autocompletion=names(REFINERS),
+        ),
     ] = "ipopt",
     seed: SeedOption = 0,
     max_regrasps: Annotated[int, typer.Option(help="Largest number of intermediate poses.")] = 5,

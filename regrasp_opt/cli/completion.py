@@ -6,7 +6,7 @@ from collections.abc import Callable
 from importlib.resources import files
 
 OBJECTS = ("bottle", "figurine", "mug", "pentagon")
-REFINERS = ("ipopt", "langevin", "langevin-ipopt", "lattice", "paper")
+REFINERS = ("exact", "ipopt", "langevin", "langevin-ipopt", "lattice", "paper")
 EXPERIMENTS = (
     *("ablations", "cost-sweep", "cross-effector", "embedding", "hard-tiers", "joint", "motion"),
     *("multi-step", "one-step", "refiners", "speed", "unseen"),

@@ -122,6 +122,13 @@ RECIPES: dict[str, Callable[[], Recipe]] = {
 }
 
 
+EXACT = "exact"
+"""The name of planning without an energy (`regrasp_opt.planning.exact`), which has no recipe."""
+
+REFINERS = (*RECIPES, EXACT)
+"""The names that `solve_sequence` takes."""
+
+
 def as_recipe(refiner: Any) -> Recipe:
     """Return the recipe that a name, a refiner or a recipe stands for.
 
@@ -134,8 +141,8 @@ def as_recipe(refiner: Any) -> Recipe:
         return refiner
     if isinstance(refiner, str):
         if refiner not in RECIPES:
-            raise UnknownNameError("refiner", refiner, RECIPES)
+            raise UnknownNameError("refiner", refiner, REFINERS)
         return RECIPES[refiner]()
     if not callable(getattr(refiner, "refine", None)):
-        raise OptionError(f"the refiner has no method 'refine'; give a Refiner or one of {', '.join(RECIPES)}")
+        raise OptionError(f"the refiner has no method 'refine'; give a Refiner or one of {', '.join(REFINERS)}")
     return Recipe(refiner)

@@ -16,16 +16,17 @@ from typing import Any
 
 import numpy as np
 
-from regrasp_opt.connectivity import CostOptions, SequenceObjective, exact_energy, pair_score
-from regrasp_opt.conventions import BoolArray, FloatArray, as_seed
+from regrasp_opt.connectivity import CostOptions, SequenceObjective, exact_energy, pair_score, sequence_cost
+from regrasp_opt.conventions import BoolArray, FloatArray, as_seed, planar_transform
 from regrasp_opt.errors import OptionError
 from regrasp_opt.planning.ends import checked_end, known_energy
+from regrasp_opt.planning.exact import SIZES, Path, RestingPoses
 from regrasp_opt.planning.plan import RegraspPlan
 from regrasp_opt.planning.plan_data import Status
 from regrasp_opt.planning.problem import RegraspProblem
-from regrasp_opt.planning.recipes import Recipe, as_recipe
+from regrasp_opt.planning.recipes import EXACT, Recipe, as_recipe
 from regrasp_opt.planning.verification import PoseFeasibility, enumerate_transition, verify_sequence
-from regrasp_opt.solvers import Candidates, Refiner
+from regrasp_opt.solvers import Candidates, LatticeRefiner, Refiner
 from regrasp_opt.threads import one_blas_thread
 
 MAX_REGRASPS = 8
@@ -51,9 +52,10 @@ def solve_sequence(
     problem : RegraspProblem
     start, goal : (4, 4) array_like
         T_world_object; the object rests on the table at both.
-    refiner : {"ipopt", "lattice", "langevin", "langevin-ipopt", "paper"} or Refiner or Recipe
+    refiner : {"ipopt", "lattice", "langevin", "langevin-ipopt", "paper", "exact"} or Refiner or Recipe
         What improves candidate sequences, see `regrasp_opt.planning.recipes`. An object with the `Refiner` protocol
-        gets lattice chains as start points.
+        gets lattice chains as start points. "exact" needs no energy: random resting poses, exact checks, and the
+        shortest path (`regrasp_opt.planning.exact`); its cost is `J_seq` of the exact feasibilities.
     max_regrasps : int
         Largest number N of intermediate poses.
     seed : int
@@ -78,9 +80,10 @@ def solve_sequence(
     OptionError, UnknownNameError
         For `max_regrasps` below 0 or an unknown refiner.
     ModelError
-        If no energy was prepared for the problem.
+        If no energy was prepared for the problem, and the refiner is not "exact".
     """
-    recipe, seed = as_recipe(refiner), as_seed(seed)
+    recipe = None if isinstance(refiner, str) and refiner == EXACT else as_recipe(refiner)
+    seed = as_seed(seed)
     whole = isinstance(max_regrasps, (int, np.integer)) and not isinstance(max_regrasps, bool)
     if not whole or not 0 <= max_regrasps <= MAX_REGRASPS:
         raise OptionError(f"max_regrasps is {max_regrasps}; give a whole number from 0 to {MAX_REGRASPS}")
@@ -96,7 +99,7 @@ def _solve(
     problem: RegraspProblem,
     start: Any,
     goal: Any,
-    recipe: Recipe,
+    recipe: Recipe | None,
     max_regrasps: int,
     seed: int,
     clock: _Clock,
@@ -108,7 +111,8 @@ def _solve(
     with clock.timed("ends"):
         ends = [PoseFeasibility(problem.checker, T) for T in (T_start, T_goal)]
         feasible = [end.all() for end in ends]
-    search = _Search(problem, recipe, ends, options, seed, clock, accept)
+    kind = _ExactSearch if recipe is None else _Search
+    search = kind(problem, recipe or Recipe(LatticeRefiner()), ends, options, seed, clock, accept)
     for knowledge, status in zip(feasible, (Status.START_INFEASIBLE, Status.GOAL_INFEASIBLE), strict=True):
         if not knowledge.any():
             return search.result(status)
@@ -163,6 +167,10 @@ class _Search:
             plan = self.result(Status.SOLVED, cost=cost)
             if self._accepted(plan):
                 return plan
+        return self._deeper(max_regrasps)
+
+    def _deeper(self, max_regrasps: int) -> RegraspPlan:
+        """Return the plan with the fewest intermediate poses, at least one."""
         for num_regrasps in range(1, max_regrasps + 1):
             found = self._at_depth(num_regrasps)
             if found is not None:
@@ -331,3 +339,35 @@ class _Search:
             seed=self.seed,
             problem=self.problem,
         )
+
+
+class _ExactSearch(_Search):
+    """The shortest path between exactly checked random poses, without an energy."""
+
+    def _deeper(self, max_regrasps: int) -> RegraspPlan:
+        problem, fewest = self.problem, max_regrasps
+        rng = np.random.default_rng(self.seed)
+        poses = RestingPoses(problem.checker, problem.placement_poses, problem.workcell.bounds.array, rng)
+        found: RegraspPlan | None = None
+        for size in SIZES if max_regrasps else ():
+            if self.clock.over:
+                return found or self.result(Status.TIME_LIMIT)
+            with self.clock.timed("checks"):
+                poses.grow(size)
+            self.stats.append({"refiner": EXACT, "poses": size, "graspable": len(poses.xi)})
+            start, goal = (end.all() for end in self.ends)
+            better = next(filter(None, map(self._accepted_plan, poses.shortest_paths(start, goal, fewest))), None)
+            if better is not None:
+                found, fewest = better, better.num_regrasps - 1
+                self.stats[-1]["num_regrasps"] = better.num_regrasps
+            if found is not None and (better is None or fewest == 0):
+                break  # more poses do not save a regrasp, or none can be saved
+        return found or self.result(Status.NOT_FOUND)
+
+    def _accepted_plan(self, path: Path) -> RegraspPlan | None:
+        T = planar_transform(path.xi) @ self.problem.placement_poses[path.placements]
+        known = zip(T, path.feasible, strict=True)
+        chain = [self.ends[0], *(PoseFeasibility(self.problem.checker, *each) for each in known), self.ends[1]]
+        cost = float(sequence_cost(np.array([exact_energy(pose.all()) for pose in chain]), self.options))
+        plan = self.result(Status.SOLVED, cost=cost, chain=chain, placements=path.placements, xi=path.xi)
+        return plan if self._accepted(plan) else None

@@ -21,13 +21,13 @@ _CHUNK = 8
 
 
 class PoseFeasibility:
-    """What is known exactly about the G grasps at one object pose `T` (4, 4)."""
+    """What is known exactly about the G grasps at one object pose `T` (4, 4); all if `feasible` (G,) is given."""
 
-    def __init__(self, checker: FeasibilityChecker, T: FloatArray) -> None:
+    def __init__(self, checker: FeasibilityChecker, T: FloatArray, feasible: BoolArray | None = None) -> None:
         self.T = T
         self._checker = checker
-        self._known = np.zeros(len(checker.grasps), dtype=bool)
-        self._feasible = np.zeros(len(checker.grasps), dtype=bool)
+        self._known = np.full(len(checker.grasps), feasible is not None)
+        self._feasible = np.zeros(len(checker.grasps), dtype=bool) if feasible is None else feasible
 
     @cached_property
     def object_collides(self) -> bool:
