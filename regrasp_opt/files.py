@@ -35,7 +35,7 @@ def report_outside(source: Path, named: Iterable[Path], folders: Iterable[Path] 
     outside = [path for path in paths if not any(path.is_relative_to(folder) for folder in inside)]
     if outside:
         more = f" and {len(outside) - 1} more" if len(outside) > 1 else ""
-        text = "%s names '%s'%s outside its folder, which is read too; look at %s if you did not write the file"
+        text = "%s refers to '%s'%s outside its folder, and reads it; check %s if you did not write the file"
         logger.warning(text, source, outside[0], more, "it" if len(outside) == 1 else "them")
 
 

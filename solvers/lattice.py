@@ -102,7 +102,7 @@ def _learned(
     energies = np.concatenate(blocks)
     if path is not None:
         with contextlib.suppress(OSError), atomic_path(path) as temporary, temporary.open("wb") as file:
-            np.save(file, energies, allow_pickle=False)  # only a cache: a folder that cannot be written is no error
+            np.save(file, energies, allow_pickle=False)  # only a cache: a folder that cannot be written is not an error
     return energies
 
 

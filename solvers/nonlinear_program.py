@@ -349,7 +349,7 @@ def _filled(value: ArrayLike, shape: tuple[int, int], name: str) -> FloatArray:
     try:
         return np.array(np.broadcast_to(numbers, shape))
     except ValueError as error:
-        raise OptionError(f"'{name}' has shape {shape}, its numbers have {numbers.shape}") from error
+        raise OptionError(f"'{name}' has shape {shape}, but its numbers have {numbers.shape}") from error
 
 
 def _numbers(parts: Iterable[FloatArray | None], order: Any = "C") -> FloatArray:

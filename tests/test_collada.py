@@ -79,7 +79,7 @@ GOOD = collada([(BOX.vertices, WHOLE, "")])
         ("#g0", "#g7", "corrupt"),
         ('meter="1"', 'meter="many"', "corrupt"),
         ('meter="1"', 'meter="nan"', "NaN or infinite"),
-        ("<p>0 1", "<p>0 99", "vertices that it does not hold"),
+        ("<p>0 1", "<p>0 99", "whose vertices do not exist"),
         ("<p>0 1", "<p>0", "corrupt"),
         ('<instance_geometry url="#g0"/>', "", "no triangles"),
         ('<instance_geometry url="#g0"/>', '<instance_node url="#n0"/>', "corrupt"),

@@ -1,4 +1,4 @@
-"""Files from somebody else: names that are no path, nesting without end, and files that they name elsewhere."""
+"""Files from somebody else: names that are not paths, nesting without end, and files that they name elsewhere."""
 
 import json
 import logging
@@ -62,7 +62,7 @@ def test_xml_of_another_coding_or_nested_too_deep_is_refused(tmp_path):
     refused(load_robot, path, '<?xml version="1.0" encoding="none"?>' + ARM, "is not valid XML")
     arm = ARM.replace('<collision><geometry><mesh filename="{}"/></geometry>\n</collision>', "")
     assert "mesh" not in arm
-    refused(load_robot, path, arm.replace("</robot>", f"{inner}</robot>"), "nested too deep")
+    refused(load_robot, path, arm.replace("</robot>", f"{inner}</robot>"), "nested too deeply")
     refused(load_robot, path, ARM.format("package://"), "mesh 'package://' is not found")
 
 
@@ -116,20 +116,20 @@ def warnings_of(load, path, content, caplog, **options):
 def test_a_workcell_that_names_files_elsewhere_says_so_once(mesh, tmp_path, caplog):
     path, robot = tmp_path / "own" / "cell.toml", tmp_path / "other" / "arm.urdf"
     [said] = warnings_of(load_workcell, path, CELL + MESH.format("../other/part.stl"), caplog)
-    assert said.startswith(f"{path} names '{mesh}' outside its folder")
+    assert said.startswith(f"{path} refers to '{mesh}' outside its folder")
     [said] = warnings_of(load_workcell, path, CELL + MESH.format(mesh), caplog)
     assert f"'{mesh}'" in said
     robot.write_bytes((DATA / "robots" / "nova2" / "nova2.urdf").read_bytes())
     home = "home = [-1.913, 0, 1.4, 0.2, -1.57, -0.34]\npackage_dirs = ['..']"
     both = CELL.replace('model = "nova2"', f'model = "../other/arm.urdf"\n{home}') + MESH.format("../other/part.stl")
     [said] = warnings_of(load_workcell, path, both, caplog)
-    assert f"names '{robot}' and 2 more outside its folder" in said
+    assert f"refers to '{robot}' and 2 more outside its folder" in said
 
 
 def test_a_robot_that_names_meshes_elsewhere_says_so_unless_their_folder_is_given(mesh, tmp_path, caplog):
     path, content = tmp_path / "own" / "arm.urdf", ARM.format("../other/part.stl")
     [said] = warnings_of(load_robot, path, content, caplog)
-    assert said.startswith(f"{path} names '{mesh}' outside its folder")
+    assert said.startswith(f"{path} refers to '{mesh}' outside its folder")
     assert warnings_of(load_robot, path, content, caplog, package_dirs=[mesh.parent]) == []
     assert len(warnings_of(load_robot, path, ARM.format("package://other/part.stl"), caplog)) == 1
     (tmp_path / "package.xml").write_text("<package/>", encoding="utf-8")

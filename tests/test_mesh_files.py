@@ -27,10 +27,10 @@ def ply(vertices, faces):
 BOX = trimesh.creation.box((0.04, 0.05, 0.1))
 CORNERS, TRIANGLES = BOX.vertices.tolist(), BOX.faces.tolist()
 BROKEN = {
-    "an index too large": (ply(CORNERS, [*TRIANGLES[1:], [0, 1, 268]]), "vertices that it does not hold"),
-    "a negative index": (ply(CORNERS, [*TRIANGLES[1:], [0, 1, -2]]), "vertices that it does not hold"),
+    "an index too large": (ply(CORNERS, [*TRIANGLES[1:], [0, 1, 268]]), "whose vertices do not exist"),
+    "a negative index": (ply(CORNERS, [*TRIANGLES[1:], [0, 1, -2]]), "whose vertices do not exist"),
     "a vertex that is not a number": (ply([["nan", 0, 0], *CORNERS[1:]], TRIANGLES), "NaN or infinite"),
-    "a vertex far away": (ply([[1e30, 0, 0], *CORNERS[1:]], TRIANGLES), "more than 1e\\+09 units away"),
+    "a vertex far away": (ply([[1e30, 0, 0], *CORNERS[1:]], TRIANGLES), "more than 1e\\+09 units from the origin"),
     "no triangle": (ply(CORNERS, []), "no triangles|corrupt"),
     "a property of no type": (ply(CORNERS, TRIANGLES).replace("list uchar int", "lst uchar int"), "corrupt"),
 }

@@ -96,7 +96,7 @@ def _show_workcell(console: Console, cell: dict[str, Any]) -> None:
     holds = (
         f"cup of radius {_mm(effector['cup_radius'])}"
         if effector["kind"] == "suction"
-        else f"opens {_mm(effector['max_opening'])}, approaches {_mm(effector['pre_opening'])} wider a side, pads "
+        else f"opens to {_mm(effector['max_opening'])}, approaches {_mm(effector['pre_opening'])} wider per side, pads "
         f"{_mm(*np.ptp([effector['pad']['x'], effector['pad']['z']], axis=1))}"
     )
     _facts(
@@ -113,15 +113,15 @@ def _show_workcell(console: Console, cell: dict[str, Any]) -> None:
 
 def _show_robot(console: Console, robot: dict[str, Any]) -> None:
     ik, bare = robot["inverse_kinematics"], robot["links_without_body"]
-    solved = f"{ik['solved']} solved, residual at most {ik['residual']:.0e}"
+    solved = f"solves {ik['solved']} of {ik['tried']} poses of this arm, residual at most {ik['residual']:.0e}"
     if len(robot["joints"]) <= 6:  # more joints have infinitely many solutions
-        solved += f", {ik['found']} with the configuration that the pose came from among the solutions"
+        solved += f"; for {ik['found']} the solutions include the configuration that the pose came from"
     _facts(
         console,
         ("robot", f"{robot['name']}, {robot['file']}"),
         ("base at", f"{_point(robot['position'])} m"),
         ("tip", f"{robot['tip']['link']}: {robot['tip']['why']}; reach at most {robot['reach']:.2f} m"),
-        ("inverse kinematics", f"{ik['solver']}; of {ik['tried']} of the arm's own poses {solved}"),
+        ("inverse kinematics", f"{ik['solver']}; {solved}"),
         ("links without a body", ", ".join(bare) or "none that moves"),
     )
     joints = _table("joint", "moves", "lower", "upper", "speed", "home", right=4)
@@ -132,7 +132,7 @@ def _show_robot(console: Console, robot: dict[str, Any]) -> None:
     links = _table("link", "moved by", "bodies [mm]")
     for link in robot["bodies"]:
         links.add_row(escape(link["link"]), escape(link["moved_by"]), escape(counted_bodies(link["bodies"])))
-    console.print(links if robot["bodies"] else "the robot has no body: nothing of the arm is tested for collision")
+    console.print(links if robot["bodies"] else "the robot has no body: no part of the arm is tested for collision")
     for why in dict.fromkeys(pair["why"] for pair in robot["never_tested"]):
         pairs = [" - ".join(pair["links"]) for pair in robot["never_tested"] if pair["why"] == why]
         _facts(console, (f"never tested, {why}", ", ".join(pairs)))
@@ -143,7 +143,9 @@ def _show_object(console: Console, model: dict[str, Any]) -> None:
     repaired = "none asked for"
     if repair is not None:
         before, after = repair["faces"]
-        repaired = f"{before} faces in the file, {after} after it" if before != after else "nothing had to be repaired"
+        repaired = (
+            f"{before} faces in the file, {after} after the repair" if before != after else "nothing had to be repaired"
+        )
     _heading(console, f"object {model['name']}", model["source"])
     _facts(
         console,
@@ -162,7 +164,7 @@ def _show_placements(console: Console, model: dict[str, Any], grasps: dict[str, 
         heights = (f"{1e3 * placement[key]:.1f}" for key in ("height", "center_height"))
         left = [f"{grasps['left_by_table'][number]} of {grasps['count']}"] if grasps else []
         table.add_row(str(number), *heights, f"{placement['margin']:.3f}", *left)
-    console.print(table if model["placements"] else "no stable placement: it cannot be planned with")
+    console.print(table if model["placements"] else "no stable placement, so it cannot be planned")
     for why, text in (("rolls", "it rolls there"), ("margin", f"margin below {model['least_margin']:g}")):
         margins = [r["margin"] for r in model["rejected"] if r["why"] == why]
         if margins:

@@ -75,7 +75,7 @@ class EndEffector:
         where = self.name if self.source == "built-in" else self.source
         for box in self.finger:
             if not np.allclose(box.pose[:3, :3], np.eye(3)):
-                raise WorkcellError(f"finger '{box.name}' of '{where}' is turned; give axis-parallel boxes")
+                raise WorkcellError(f"finger '{box.name}' of '{where}' is turned; give axis-aligned boxes")
             if box.pose[1, 3] - box.size[1] / 2 < -1e-9:
                 raise WorkcellError(f"finger '{box.name}' of '{where}' reaches below y = 0; give the +y finger only")
         for axis, (low, high), index in (("x", self.pad.x, 0), ("z", self.pad.z, 2)) if self.finger else ():

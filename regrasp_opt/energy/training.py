@@ -111,7 +111,7 @@ def train(
     import torch
 
     if feasible.all() or not feasible.any():
-        raise ModelError("the training labels hold one class only; sample more poses or widen the workspace")
+        raise ModelError("the training labels are all of one class; sample more poses or widen the workspace")
     wanted = ("cuda" if torch.cuda.is_available() else "cpu") if options.device == "auto" else options.device
     device = torch.device(wanted)
     generator = torch.Generator().manual_seed(options.seed)

@@ -51,13 +51,13 @@ def _node(
         if child.tag in ("matrix", "translate", "rotate", "scale"):
             T = T @ _transform(child.tag, _numbers(child))
         elif child.tag in ("lookat", "skew", "instance_controller"):
-            raise MeshError(f"{path} has a <{child.tag}>, which is not read; export the mesh as STL")
+            raise MeshError(f"{path} has a <{child.tag}>, which is not supported; export the mesh as STL")
         elif child.tag in ("node", "instance_node"):
             yield from _node(child if child.tag == "node" else known[child.get("url", "")], T, known, path)
         elif child.tag == "instance_geometry":
             for mesh in known[child.get("url", "")]:
                 if mesh.tag in ("spline", "convex_mesh", "brep"):
-                    raise MeshError(f"{path} has a <{mesh.tag}>, which is not read; export the mesh as STL")
+                    raise MeshError(f"{path} has a <{mesh.tag}>, which is not supported; export the mesh as STL")
                 for vertices, faces in _mesh(mesh, known, path) if mesh.tag == "mesh" else ():
                     yield vertices @ T[:3, :3].T + T[:3, 3], faces
 
@@ -81,7 +81,7 @@ def _mesh(mesh: ET.Element, known: dict[str, ET.Element], path: Path) -> Iterato
         if group.tag in _FLAT:
             continue
         if group.tag not in _SURFACES or group.find("ph") is not None:
-            raise MeshError(f"{path} has <{group.tag}> that are not read; export the mesh as STL")
+            raise MeshError(f"{path} has <{group.tag}>, which is not supported; export the mesh as STL")
         inputs = group.findall("input")
         stride = 1 + max(int(one.get("offset", "0")) for one in inputs)
         vertex = next(one for one in inputs if one.get("semantic") == "VERTEX")

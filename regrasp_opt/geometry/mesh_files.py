@@ -66,15 +66,15 @@ def read_triangles(path: Path) -> tuple[FloatArray, IntArray]:
                 vertices = np.array(getattr(loaded, "vertices", np.zeros((0, 3))), dtype=np.float64)
                 faces = np.array(getattr(loaded, "faces", np.zeros((0, 3))), dtype=np.int64)
     except UNREADABLE as error:
-        raise MeshError(f"{path} is corrupt, truncated or no mesh file; export it again") from error
+        raise MeshError(f"{path} is corrupt, truncated or not a mesh file; export it again") from error
     if len(faces) == 0:
-        raise MeshError(f"{path} holds no triangles; give a surface mesh")
+        raise MeshError(f"{path} contains no triangles; give a surface mesh")
     if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,) or not 0 <= faces.min() <= faces.max() < len(vertices):
-        raise MeshError(f"{path} has triangles of vertices that it does not hold; export it again")
+        raise MeshError(f"{path} has triangles whose vertices do not exist; export it again")
     if not np.isfinite(vertices).all():
         raise MeshError(f"{path} has vertices that are NaN or infinite; export the mesh again")
     if np.abs(vertices).max() > FARTHEST:
-        raise MeshError(f"{path} has vertices more than {FARTHEST:g} units away; export the mesh again")
+        raise MeshError(f"{path} has vertices more than {FARTHEST:g} units from the origin; export the mesh again")
     return vertices, faces
 
 

@@ -105,7 +105,7 @@ class GraspSet:
         except UNREADABLE_ARRAYS as error:
             raise GraspError(f"{where} is missing or corrupt; sample the grasps again") from error
         if missing:
-            raise GraspError(f"{where} lacks the array '{missing[0]}'; needed are T_object_tcp, width and kind")
+            raise GraspError(f"{where} lacks the array '{missing[0]}'; it needs T_object_tcp, width and kind")
         try:
             return cls(T, width, str(kind))  # type: ignore[arg-type]
         except GraspError as error:

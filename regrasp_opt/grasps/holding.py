@@ -43,12 +43,12 @@ class Failure(Enum):
 
     TOO_WIDE = "it needs a wider opening than the jaw has"
     OVERLAP = "the gripper overlaps the object"
-    NOTHING_HELD = "nothing of the object is between the pads"
+    NOTHING_HELD = "no part of the object is between the pads"
     NOT_REACHED = "the pads do not touch the object on both sides at the stated width"
     SLIPS = "the surfaces at the pads do not oppose each other within the friction cone"
     NO_CONTACT = "the cup does not touch the object"
     LEAKS = "the cup does not seal"
-    TILTED = "the cup is tilted against the surface"
+    TILTED = "the cup is tilted relative to the surface"
 
 
 def hold_failures(grasps: GraspSet, model: ObjectModel, end_effector: EndEffector) -> list[Failure | None]:

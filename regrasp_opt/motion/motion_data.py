@@ -15,7 +15,7 @@ from regrasp_opt.planning import RegraspPlan
 class Phase(Enum):
     """What a segment is for; the value says it."""
 
-    REACH = "the arm moves, the jaw empty, to where the approach begins"
+    REACH = "the arm moves with an empty jaw to where the approach begins"
     APPROACH = "the open jaw moves along a straight line to the grasp"
     GRASP = "the jaw closes, the arm rests"
     LIFT = "the object is lifted along a straight line"
@@ -30,6 +30,11 @@ class Phase(Enum):
         """Whether the object moves with the hand."""
         return self in (Phase.LIFT, Phase.TRANSFER, Phase.LOWER)
 
+    @property
+    def doing(self) -> str:
+        """What the arm is doing, as in "while lifting"."""
+        return {Phase.TRANSFER: "transferring", Phase.RELEASE: "releasing"}.get(self, f"{self.name.lower()}ing")
+
 
 class MotionStatus(Enum):
     """How motion planning ended; the value is the sentence to show, and says what to try next."""
@@ -38,7 +43,7 @@ class MotionStatus(Enum):
     NO_PLAN = "the regrasp plan is not solved, so there is nothing to move; plan again first"
     HOME_BLOCKED = "the home configuration collides; choose another home, or None"
     NO_MOTION = (
-        "no shared grasp of a transition admits a motion; try plan_with_motion, more iterations, or shorter distances"
+        "no shared grasp of a transition allows a motion; try plan_with_motion, more iterations, or shorter distances"
     )
 
 

@@ -67,7 +67,7 @@ def read_mesh(path: Path, *, scale: float = 1.0, repair: bool = False) -> trimes
 
 def check_solid(mesh: trimesh.Trimesh, where: str, *, repaired: bool = False) -> None:
     """Raise MeshError, with `where` in front, unless `mesh` is one watertight solid with outward normals."""
-    after, hint = (" also after the repair", "") if repaired else ("", " or try --repair")
+    after, hint = (" even after the repair", "") if repaired else ("", " or try --repair")
     if not mesh.is_watertight:
         raise MeshError(f"{where} is not watertight{after}; close its surface{hint}")
     if not mesh.is_winding_consistent:
@@ -105,7 +105,7 @@ def _repaired(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     trimesh.repair.fill_holes(mesh, use_fan=True)
     if mesh.area > area / (1.0 - LARGEST_PATCH):
         raise MeshError(
-            f"{path} has holes too large to close safely ({1 - area / mesh.area:.0%} of its area); model them"
+            f"{path} has holes too large to close safely ({1 - area / mesh.area:.0%} of its area); close them first"
         )
     bodies = mesh.split(only_watertight=False, repair=False)
     if len(bodies) > 1:
@@ -128,7 +128,7 @@ def _united(path: Path, bodies: list[trimesh.Trimesh]) -> trimesh.Trimesh:
     for body in bodies:
         trimesh.repair.fix_normals(body)
         if not body.is_volume:
-            raise MeshError(f"{path} has a body that is not watertight also after the repair; close its surface")
+            raise MeshError(f"{path} has a body that is not watertight even after the repair; close its surface")
         inside = [other for other in bodies if other is not body and _encloses(other, body)]
         if inside:
             raise MeshError(f"{path} has a body or cavity inside another; remove the inner one, or cut it open")

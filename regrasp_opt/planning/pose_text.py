@@ -52,7 +52,7 @@ def parse_pose(text: str, name: str, placements: FloatArray) -> FloatArray:
 def _from_file(path: Path, name: str) -> FloatArray:
     if path.suffix != ".json" and not os.path.isfile(path):
         raise PoseError(
-            f"the {name} '{path}' is no pose; write it like 2:0.30,0.25,45 or name a JSON file with a 4x4 matrix"
+            f"the {name} '{path}' is not a pose; write it like 2:0.30,0.25,45 or name a JSON file with a 4x4 matrix"
         )
     try:
         matrix = json.loads(path.read_text(encoding="utf-8"))

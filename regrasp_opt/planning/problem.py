@@ -190,6 +190,6 @@ def _usable(grasps: GraspSet, body: ObjectModel, workcell: Workcell) -> tuple[Gr
         )
     named = [f"grasp {index} because {why}" for index, why in list(left_out.items())[:NAMED]]
     rest = f", and {len(left_out) - NAMED} more" if len(left_out) > NAMED else ""
-    text = "%d of %d grasps are left out, and the others numbered anew from 0: %s%s (problem.left_out has all)"
+    text = "%d of %d grasps are left out, and the others renumbered from 0: %s%s (problem.left_out has all)"
     logger.warning(text, len(left_out), len(grasps), "; ".join(named), rest)
     return grasps.subset([index for index in range(len(grasps)) if index not in left_out]), left_out

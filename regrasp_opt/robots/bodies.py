@@ -62,7 +62,7 @@ def _shape(element: ET.Element, where: str) -> Any:
         raise WorkcellError(f"{where} is a <{shape.tag}>; use {', '.join(SIZES)} or mesh")
     sizes = [_numbers(shape, key, count, where) for key, count in SIZES[shape.tag].items()]
     if not all((size > 0).all() for size in sizes):
-        raise WorkcellError(f"{where}: the {shape.tag} has a size that is not above 0; give its sizes in metres")
+        raise WorkcellError(f"{where}: the {shape.tag} has a size that is not positive; give its sizes in metres")
     return getattr(coal, shape.tag.capitalize())(*np.concatenate(sizes).tolist())
 
 

@@ -103,7 +103,7 @@ def load_robot(
     check_sizes(robot)
     bare = robot.links_without_body()
     if not robot.collision.ngeoms:
-        logger.warning("%s has no <collision> element; nothing of the arm is tested for collision", path)
+        logger.warning("%s has no <collision> element; no part of the arm is tested for collision", path)
     elif bare:
         names = ", ".join(bare[:NAMED]) + (f" and {len(bare) - NAMED} more links" if len(bare) > NAMED else "")
         logger.warning("%s has no <collision> element in %s; what has none is not tested for collision", path, names)
@@ -133,7 +133,7 @@ def _source(
     try:
         xml = ET.tostring(root)
     except RecursionError as error:
-        raise WorkcellError(f"robot file {path} has elements nested too deep; give a plain URDF file") from error
+        raise WorkcellError(f"robot file {path} has elements nested too deeply; give a plain URDF file") from error
     return RobotSource(
         name=name or root.get("name") or path.stem,
         path=str(path),

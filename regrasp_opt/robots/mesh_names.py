@@ -73,7 +73,7 @@ def _advice(name: str, path: Path, given: Sequence[Path], candidates: Sequence[P
         return f"package '{package}' is {places}, without '{inner}'"
     looked = "".join(f"'{folder}', in what is directly in it, and in " for folder in given)
     return (
-        f"looked for package '{package}' in {looked}the folders above the URDF file; name in package_dirs the folder "
+        f"looked for package '{package}' in {looked}the folders above the URDF file; add to package_dirs the folder "
         f"whose package.xml says <name>{package}</name>, or the one that holds it"
     )
 

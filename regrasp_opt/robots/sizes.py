@@ -51,7 +51,5 @@ def check_sizes(robot: Robot) -> None:
         elif item.parentJoint and (longest := float(np.ptp(solid.box, axis=0).max())) > largest:
             raise WorkcellError(f"{where} is {longest:.4g} m long, far longer than the arm; give its sizes in metres")
     if open_links:
-        text = (
-            "%s: meshes of %s are not closed: their surfaces are tested, but not what is inside; close those of solids"
-        )
+        text = "%s: meshes of %s are not closed: only their surfaces are tested, not what is inside; close solid ones"
         logger.warning(text, robot.urdf_path, ", ".join(open_links))

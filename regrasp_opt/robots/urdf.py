@@ -91,9 +91,11 @@ def joint_of_child(root: ET.Element, path: Path) -> dict[str, ET.Element]:
         parent, child = (_link_name(joint, tag) for tag in ("parent", "child"))
         for name in (parent, child):
             if name not in links:
-                raise WorkcellError(f"{path}: joint '{joint.get('name')}' names the link '{name}', which is not there")
+                raise WorkcellError(
+                    f"{path}: joint '{joint.get('name')}' names the link '{name}', which does not exist"
+                )
         if child in joints:
-            raise WorkcellError(f"{path}: link '{child}' hangs from two joints; a robot must be a tree")
+            raise WorkcellError(f"{path}: link '{child}' has two parent joints; a robot must be a tree")
         joints[child] = joint
     if len(links) - len(joints) != 1:
         raise WorkcellError(f"{path}: {len(links) - len(joints)} links have no parent; a robot must be one tree")

@@ -76,7 +76,7 @@ def trace_candidates(plan: RegraspPlan, refiner: str | Refiner | Recipe = "ipopt
     if not recorder.batches:
         why = {
             Status.SOLVED: "start and goal share a grasp",
-            Status.NOT_FOUND: "by the learned energies no poses have a chance",
+            Status.NOT_FOUND: "no poses have a chance by the learned energies",
         }.get(found.status, "start or goal has no feasible grasp")
         raise OptionError(f"there are no candidates to show: {why}, so nothing was refined; show the plan without them")
     count = recorder.batches[-1].starts.xi.shape[1]

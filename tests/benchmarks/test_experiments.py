@@ -3,6 +3,7 @@
 import json
 import sys
 from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from regrasp_opt.benchmarks.comparisons import ablations, embedding, joint, refiners
 from regrasp_opt.benchmarks.harness import models, runner
 from regrasp_opt.benchmarks.harness import session as session_module
+from regrasp_opt.benchmarks.harness.instances import random_instances
 from regrasp_opt.benchmarks.harness.oracle import Resolution
 from regrasp_opt.benchmarks.harness.report import Report, write_report
 from regrasp_opt.benchmarks.harness.runner import Item
@@ -22,7 +24,6 @@ from regrasp_opt.cli.plots import write_bench_plots
 from regrasp_opt.connectivity import CostOptions, block, exact_energy, sequence_cost
 from regrasp_opt.conventions import planar_transform
 from regrasp_opt.energy.model import GraspEnergy
-from regrasp_opt.planning.tasks import random_task
 
 COARSE = Resolution(0.15, 4)
 
@@ -117,7 +118,7 @@ def test_the_conclusion_names_the_fastest_of_the_most_successful():
 
 
 def test_cross_effector(session, monkeypatch):
-    tiny = cross_effector.Sizes(("w", "s1"), 1, 1, 500, Resolution(0.2, 4))
+    tiny = cross_effector.TransferSizes(("w", "s1"), 1, 1, 500, Resolution(0.2, 4))
     monkeypatch.setattr(cross_effector, "QUICK", tiny)
     monkeypatch.setattr(models, "HELD_OUT_POSES", 50)
     report = cross_effector.run_cross_effector(session)
@@ -174,12 +175,12 @@ def test_embedding(session, monkeypatch):
 
 
 def test_a_pair_without_a_chance_is_a_row(bottle_problem, monkeypatch):
-    task = random_task(bottle_problem, np.random.default_rng(0), needs_regrasp=True)
+    [pair] = random_instances(bottle_problem, np.random.default_rng(0), 1, "bottle")
     monkeypatch.setattr("regrasp_opt.solvers.lattice.LEAST_CHANCE", 1.0)
-    item = Item("bottle/0/1", "", embedding.embedding_rows, (bottle_problem, task, 1), {"N": 1})
-    _, rows = runner._compute(0, item)
-    assert "has a chance" in rows[0]["error"]
-    assert embedding._table(rows).rows == ()
+    item = Item("bottle/0/1", "", embedding.embedding_rows, (bottle_problem, pair, 1), {"N": 1})
+    _, content = runner._compute(Path("item.json"), item, "r1")
+    assert "has a chance" in content["rows"][0]["error"]
+    assert embedding._table(content["rows"]).rows == ()
 
 
 def test_plots_are_refused_before_anything_is_measured(tmp_path, monkeypatch):
@@ -213,7 +214,7 @@ def test_the_command_names_what_is_wrong(tmp_path, capsys):
     assert run(["bench", "one-stop", "--out", str(tmp_path)]) == 2
     assert "one-step" in capsys.readouterr().err
     assert run(["bench", "one-step", "--objects", str(tmp_path / "none"), "--out", str(tmp_path)]) == 2
-    assert "no folder" in capsys.readouterr().err
+    assert "is not a folder" in capsys.readouterr().err
     assert run(["bench", "one-step", "--objects", str(tmp_path), "--out", str(tmp_path)]) == 2
     assert "no mesh" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

@@ -10,7 +10,6 @@ import trimesh
 
 from regrasp_opt.benchmarks.comparisons import ablations, joint, motion
 from regrasp_opt.benchmarks.harness import models, subjects
-from regrasp_opt.benchmarks.harness import session as session_module
 from regrasp_opt.benchmarks.harness.instances import Instance
 from regrasp_opt.benchmarks.harness.models import TrainingRequest, trained_energies
 from regrasp_opt.benchmarks.harness.oracle import Resolution
@@ -89,7 +88,7 @@ def test_thinned_pairs_count_only_where_the_whole_set_holds_a_plan(bottle_proble
 def test_the_graph_and_the_planner_say_that_there_is_no_plan(bottle_problem, apart, pair):
     ids = np.array([int(np.flatnonzero((bottle_problem.grasps.T_object_tcp == T).all(axis=(1, 2)))[0])
                     for T in apart.grasps.T_object_tcp])  # fmt: skip
-    [row] = graph_row(apart, bottle_problem, ids, Resolution(0.2, 2), pair)
+    [row] = graph_row(apart, pair, bottle_problem, ids, Resolution(0.2, 2))
     assert (row["status"], row["solved"], row["num_regrasps"]) == ("not_found", False, None) and "bottleneck" not in row
     [row] = plan_row(apart, pair, "lattice", 0, 20.0, warm=False)
     assert (row["status"], row["solved"], row["first_proof"]) == ("not_found", False, None)
@@ -146,15 +145,15 @@ def test_a_mesh_is_prepared_once_and_again_when_its_model_is_broken(tmp_path, mo
     trimesh.creation.box((0.04, 0.05, 0.1)).export(meshes / "part.stl")
     trimesh.creation.box((0.4, 0.4, 0.4)).export(meshes / "wide.stl")
     session = Session(tmp_path, objects=meshes, names=(), jobs=1, quiet=True)
-    part, wide = session.subjects()
-    assert part.name == "part.stl" and len(part.problem.energy) == len(part.problem.grasps) and part.error == ""
-    assert wide.problem is None and "grasp" in wide.error and len(calls) == 2
-    assert session_module.error_rows([part, wide]) == [{"object": "wide.stl", "error": wide.error}]
-    stored = part.problem.model_folder / "energy.safetensors"
-    assert session.subjects()[0].problem.model_folder == stored.parent and len(calls) == 3
+    problems, [wide] = session.subjects()
+    [(name, part)] = problems.items()
+    assert name == "part.stl" and len(part.energy) == len(part.grasps) and len(calls) == 2
+    assert wide["object"] == "wide.stl" and "grasp" in wide["error"]
+    stored = part.model_folder / "energy.safetensors"
+    assert session.subjects()[0]["part.stl"].model_folder == stored.parent and len(calls) == 3
     stored.write_bytes(b"broken")
     with caplog.at_level(logging.WARNING):
-        assert len(session.subjects()[0].problem.energy) > 0
+        assert len(session.subjects()[0]["part.stl"].energy) > 0
     assert "it is made again" in caplog.text and len(calls) == 5
 
 
@@ -164,7 +163,7 @@ def test_a_broken_energy_is_trained_again(bottle_problem, tmp_path, monkeypatch,
     request = TrainingRequest(bottle_problem, TrainingOptions(hidden=8, epochs=2), 200)
     told = []
     [first] = trained_energies([request], jobs=1, progress=lambda done, total: told.append((done, total)))
-    assert told == [(1, 1)] and request.path.is_file()
+    assert told == [(0, 1), (1, 1)] and request.path.is_file()
     request.path.write_bytes(b"broken")
     with caplog.at_level(logging.WARNING):
         [again] = trained_energies([request], jobs=1)

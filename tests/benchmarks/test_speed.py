@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from regrasp_opt.benchmarks.comparisons import kernels, speed
-from regrasp_opt.benchmarks.comparisons.speed import Sizes
+from regrasp_opt.benchmarks.comparisons.speed import SpeedSizes
 from regrasp_opt.benchmarks.comparisons.speed_page import performance_page
 from regrasp_opt.benchmarks.harness.environment import environment
 from regrasp_opt.cli.app import run
@@ -20,7 +20,7 @@ TINY_SIZES = {"N": (1, 2), "G": (10, 20), "H": (8, 16)}
 
 @pytest.fixture
 def tiny(monkeypatch):
-    monkeypatch.setattr(speed, "QUICK", Sizes(1, 1, 1, 2, 300, 1, 500))
+    monkeypatch.setattr(speed, "QUICK", SpeedSizes(1, 1, 1, 2, 300, 1, 500))
     monkeypatch.setattr(speed, "OBJECT_NAMES", ("bottle",))
     monkeypatch.setattr(kernels, "SIZES", TINY_SIZES)
     monkeypatch.setattr(kernels, "STANDARD", {"N": 1, "G": 10, "H": 8})

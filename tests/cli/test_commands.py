@@ -179,7 +179,7 @@ def test_version(capsys):
         (("plan", "--workcell", "none.toml"), "none.toml cannot be read"),
         (("plan", "--model", "none"), "'none' holds no prepared model"),
         (("plan", "--start", "none.json"), "cannot read the start from 'none.json'"),
-        (("plan", "--start", "somewhere"), "the start 'somewhere' is no pose"),
+        (("plan", "--start", "somewhere"), "the start 'somewhere' is not a pose"),
         (("plan", "--goal", "9:0.2,0.3,0"), "the goal names placement 9; this object has placements 0 to 4"),
         (("plan", "--goal", "0:nan,0.3,0"), "holds NaN"),
         (("plan", "--goal", "0:a,0.3,0"), "is not a number"),

@@ -82,7 +82,7 @@ def test_what_rolls_and_what_was_repaired_is_told(tmp_path, capsys):
     assert_refused(in_process(capsys, "inspect", "--object", tmp_path / "ball.stl"), "not watertight")
     mended = in_process(capsys, "inspect", "--object", tmp_path / "ball.stl", "--workcell", "nova2-w", "--repair")
     assert mended.code == 0 and "no stable placement" in mended.out
-    assert "319 faces in the file, 320 after it" in mended.out
+    assert "319 faces in the file, 320 after the repair" in mended.out
 
 
 @pytest.mark.parametrize(

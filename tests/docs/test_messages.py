@@ -11,7 +11,7 @@ QUOTED = re.findall(r"^\| `([^`]*[ …][^`]*)` \|", (ROOT / "docs" / "faq.md").r
 
 
 def template(node):
-    """Return the text of a string in the code, with … where a value is put in; None if it is no string."""
+    """Return the text of a string in the code, with … where a value is put in; None if it is not a string."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return node.value
     if isinstance(node, ast.JoinedStr):

@@ -30,7 +30,7 @@ def test_options_that_make_no_sense_are_refused(wrong, said):
 
 @pytest.mark.parametrize("label", [True, False])
 def test_labels_of_one_class_are_refused(label):
-    with pytest.raises(ModelError, match="the training labels hold one class only"):
+    with pytest.raises(ModelError, match="the training labels are all of one class"):
         train(np.zeros((4, 3)), np.full(4, label), TrainingOptions())
 
 

@@ -222,12 +222,15 @@ def test_an_unreachable_clearance_is_named_with_its_shortfall(plan):
 def test_an_unreachable_travel_is_named_with_its_shortfall(plan):
     result = refine_plan(plan, "clearance", bounds=MeasureBounds(travel=0.5), options=SHORT)
     assert result.plan is plan
-    assert "off the bound of at most 0.5 rad; Ipopt ended with" in result.reason
+    assert "which misses the bound of at most 0.5 rad by" in result.reason and "; Ipopt ended with" in result.reason
 
 
 @pytest.mark.parametrize(
     ("name", "bound", "said"),
-    [("manipulability", 0.5, "short of the bound of at least 0.5"), ("cost", -50.0, "off the bound of at most -50")],
+    [
+        ("manipulability", 0.5, "short of the bound of at least 0.5"),
+        ("cost", -50.0, "which misses the bound of at most -50 by"),
+    ],
 )
 def test_other_unreachable_bounds_are_named_with_their_shortfall(plan, name, bound, said):
     result = refine_plan(plan, bounds=MeasureBounds(**{name: bound}), options=SHORT)
@@ -264,7 +267,7 @@ def test_a_refusal_by_the_final_verification_leaves_the_plan_as_it_was(plan, mon
     )
     result = refine_plan(plan, options=SHORT)
     assert result.plan is plan
-    assert result.reason == "the refined plan is refused by the final verification: pose 1 lies outside the workspace"
+    assert result.reason == "the refined plan fails the final verification: pose 1 lies outside the workspace"
 
 
 def test_a_short_step_is_taken_where_the_whole_one_is_refused(plan, monkeypatch):
@@ -307,7 +310,7 @@ def test_bounds_say_which_is_broken():
     assert (
         MeasureBounds(travel=4.0)
         .shortfall(measures)
-        .startswith("the travel is 5 rad, 1 rad off the bound of at most 4")
+        .startswith("the travel is 5 rad, which misses the bound of at most 4")
     )
     assert "0.01 m" in MeasureBounds(clearance=0.02).shortfall(measures)
     tight = MeasureBounds(clearance=0.005).tightened(measures, ["clearance", "travel"])

@@ -45,7 +45,7 @@ def broken(content, change):
 
 FAULTS = {
     "schema": lambda c: c.update(schema=2),
-    "no motion": lambda c: c.update(kind="plan"),
+    "not a motion": lambda c: c.update(kind="plan"),
     "unknown status": lambda c: c.update(status="done"),
     "unknown phase": lambda c: c["segments"][0].update(phase="dance"),
     "segments.0.jaw": lambda c: c["segments"][0].update(jaw=[0.1]),

@@ -69,7 +69,7 @@ def test_what_is_no_pose_is_refused(text):
 
 
 def test_text_that_is_no_pose_is_told_from_a_file_that_is_not_there(tmp_path):
-    with pytest.raises(PoseError, match=r"'upright' is no pose; write it like 2:0\.30,0\.25,45 or name a JSON file"):
+    with pytest.raises(PoseError, match=r"'upright' is not a pose; write it like 2:0\.30,0\.25,45 or name a JSON file"):
         parse_pose("upright", "start", PLACEMENTS)
     with pytest.raises(PoseError, match=r"cannot read the goal from '.*start\.json': No such file"):
         parse_pose(str(tmp_path / "start.json"), "goal", PLACEMENTS)

@@ -129,7 +129,7 @@ def test_grasps_of_unknown_origin_are_checked(bottle_problem):
         (GraspSet(grasps.T_object_tcp, np.zeros(count), "suction"), "for a suction end-effector, which 'w' is not"),
         (GraspSet(grasps.T_object_tcp, grasps.width + 0.2, "parallel"), f"{count} because it needs a wider opening"),
         (GraspSet(ahead, grasps.width, "parallel"), "because the gripper overlaps the object"),
-        (GraspSet(behind, grasps.width, "parallel"), f"{count} because nothing of the object is between the pads"),
+        (GraspSet(behind, grasps.width, "parallel"), f"{count} because no part of the object is between the pads"),
     ]
     cases.append((grasps.T_object_tcp, "grasps is a ndarray; give a GraspSet"))
     for wrong, text in cases:
@@ -146,14 +146,12 @@ def test_grasps_that_fail_are_left_out_by_number_and_reason(bottle_problem, capl
     with caplog.at_level("WARNING"):
         problem = RegraspProblem.load("bottle", "nova2-w", grasps=GraspSet(T, width, "parallel"))
     assert {number: text.split()[0] for number, text in problem.left_out.items()} == {
-        2: "nothing", 5: "the", 7: "it", 9: "nothing", 11: "nothing"
+        2: "no", 5: "the", 7: "it", 9: "no", 11: "no"
     }  # fmt: skip
     kept = [number for number in range(len(grasps)) if number not in problem.left_out]
     assert problem.grasps.fingerprint() == grasps.subset(kept).fingerprint()
     (text,) = [record.getMessage() for record in caplog.records]
-    assert text.startswith(
-        f"5 of {len(grasps)} grasps are left out, and the others numbered anew from 0: grasp 2 because"
-    )
+    assert text.startswith(f"5 of {len(grasps)} grasps are left out, and the others renumbered from 0: grasp 2 because")
     assert "grasp 5 because the gripper overlaps the object; grasp 7 because" in text and "and 2 more" in text
 
 

@@ -26,11 +26,11 @@ BAD = {
     "<box size='0.1 0.1'/>": ': <box> has size="0.1 0.1"; give 3 numbers',
     "<box size='0.1 0.1 zero'/>": ': <box> has size="0.1 0.1 zero"; give 3 numbers',
     "<box size='0.1 0.1 nan'/>": ': <box> has size="0.1 0.1 nan"; give 3 numbers',
-    "<box size='0.1 0.1 0'/>": ": the box has a size that is not above 0; give its sizes in metres",
+    "<box size='0.1 0.1 0'/>": ": the box has a size that is not positive; give its sizes in metres",
     "<box/>": ": <box> lacks size; give 3 numbers",
     "<sphere/>": ": <sphere> lacks radius; give a number",
     "<sphere radius=''/>": ': <sphere> has radius=""; give a number',
-    "<sphere radius='-0.1'/>": ": the sphere has a size that is not above 0; give its sizes in metres",
+    "<sphere radius='-0.1'/>": ": the sphere has a size that is not positive; give its sizes in metres",
     "<cylinder radius='0.1'/>": ": <cylinder> lacks length; give a number",
     "<cylinder radius='0.1 0.2' length='1'/>": ': <cylinder> has radius="0.1 0.2"; give a number',
     "<capsule length='1'/>": ": <capsule> lacks radius; give a number",
@@ -187,7 +187,7 @@ def test_what_has_no_body_is_said_in_one_line(tmp_path, caplog):
     assert "no <collision> element in b; what has none" in said
     path.write_text(tree(*rows, bare=["base", "a", "b", "cover", "tool0"]))
     [said] = said_on_loading(path, caplog)
-    assert said == f"{path} has no <collision> element; nothing of the arm is tested for collision"
+    assert said == f"{path} has no <collision> element; no part of the arm is tested for collision"
     path.write_text(tree(*rows, bare=["a", "b", "cover", "tool0"]))
     [said] = said_on_loading(path, caplog)
     assert said == f"{path} has no <collision> element in a, b; what has none is not tested for collision"

@@ -169,7 +169,7 @@ def test_a_mesh_is_found_from_a_file_in_the_package_itself(workspace, mesh, monk
 def test_where_a_mesh_was_looked_for_is_said(workspace):
     said = refusal(arm_of(workspace, MESH))
     assert f"mesh '{MESH}' is not found; looked for package 'parts' in the folders above the URDF file" in said
-    assert "name in package_dirs the folder whose package.xml says <name>parts</name>, or the one that holds it" in said
+    assert "add to package_dirs the folder whose package.xml says <name>parts</name>, or the one that holds it" in said
     said = refusal(arm_of(workspace, MESH), package_dirs=[workspace / "arm", "gone"])
     assert f"looked for package 'parts' in '{workspace / 'arm'}', in what is directly in it, and in 'gone', in" in said
     said = refusal(arm_of(workspace, MESH + "x"), package_dirs=[workspace])

@@ -155,7 +155,7 @@ def test_an_unreachable_constraint_is_not_hidden(make_nlp):
     ("wrong", "message"),
     [
         (lambda nlp: nlp.variable("xi"), "there is a variable or parameter 'xi' already"),
-        (lambda nlp: nlp.variable("a", 2, guess=[1, 2, 3]), r"'a' has shape \(2, 1\), its numbers have \(3, 1\)"),
+        (lambda nlp: nlp.variable("a", 2, guess=[1, 2, 3]), r"'a' has shape \(2, 1\), but its numbers have \(3, 1\)"),
         (lambda nlp: nlp.variable("a", lower=np.nan), "'a' is given NaN"),
         (lambda nlp: nlp.variable("a", lower=1, upper=0), "lower bound above its upper"),
         (lambda nlp: nlp.set_parameter("b", 1.0), "there is no parameter 'b'; there are: none"),

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
-from statistics import median
 
 import numpy as np
 import plotly.graph_objects as go
 
+from regrasp_opt.benchmarks.harness import tables
+from regrasp_opt.benchmarks.harness.experiment import run_experiment
 from regrasp_opt.benchmarks.harness.generation import GENERATORS, OneStepTask, generate, verdicts
-from regrasp_opt.benchmarks.harness.instances import Instance, choose_instances, instances_hash
-from regrasp_opt.benchmarks.harness.models import TrainingRequest, trained_energies
-from regrasp_opt.benchmarks.harness.report import Cell, Figure, Report, Table, mean, percent
-from regrasp_opt.benchmarks.harness.runner import Item, Row, progress_bar
-from regrasp_opt.benchmarks.harness.session import Session, error_rows, usable
+from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
+from regrasp_opt.benchmarks.harness.models import TrainingRequest
+from regrasp_opt.benchmarks.harness.report import Figure, Report, Table
+from regrasp_opt.benchmarks.harness.runner import Item, Row
+from regrasp_opt.benchmarks.harness.session import Session
 from regrasp_opt.benchmarks.harness.subjects import problem_key, resident
 from regrasp_opt.connectivity import CostOptions
 from regrasp_opt.conventions import FloatArray
@@ -71,55 +72,33 @@ VARIANTS: dict[str, Variant] = {
 
 def run_ablations(session: Session) -> Report:
     """Measure every variant on the first objects; quick runs take one, and fewer samples."""
-    subjects = session.subjects()
-    samples = SAMPLES[session.quick]
-    items: list[Item] = []
-    hashes: dict[str, str] = {}
-    for name, problem in usable(subjects)[: OBJECTS[session.quick]]:
+    samples, seed = SAMPLES[session.quick], session.seed
+
+    def work(name: str, problem: RegraspProblem) -> tuple[list[Item], str]:
         oracle = session.oracle(name, problem)
-        pairs = choose_instances(session.pool(problem), oracle, {"1": PAIRS[session.quick]}, session.rng(70), name)
-        hashes[name] = instances_hash(pairs)
-        energies = _energies(session, problem, samples)
-        items += [_item(name, label, problem, energies[label], pairs, session.seed) for label in VARIANTS]
-    results = session.execute("ablations", items)
-    rows = results.rows + error_rows(subjects)
-    names = list(hashes)
-    return Report(
+        pairs = session.chosen(name, problem, oracle, {"1": PAIRS[session.quick]}, 70)
+        requests = [
+            TrainingRequest(problem, replace(v.training, seed=seed), round(samples * v.samples), seed)
+            for v in VARIANTS.values()
+        ]
+        frozen, items = instances_hash(pairs), []
+        for label, energy in zip(VARIANTS, session.trained(requests), strict=True):
+            key = content_hash(problem_key(problem), energy.fingerprint(), frozen, seed, PER_PLACEMENT, SOLVES)
+            arguments = (replace(problem), energy, label, pairs, seed)
+            items.append(Item(f"{name}/{label}", key, measure_variant, arguments, {"object": name, "variant": label}))
+        return items, frozen
+
+    return run_experiment(
+        session,
         "ablations",
         "Ablations",
         TEXT,
-        tuple(_table(rows, name) for name in names),
-        rows,
-        tuple(Figure(f"Average precision: {name}", _figure(rows, name)) for name in names),
-        hashes,
-        results.revisions,
-        {"quick": session.quick, "seed": session.seed, "samples": samples, "oracle": str(session.grid)},
+        work,
+        lambda rows, names: [_table(rows, name) for name in names],
+        figures=lambda rows, names: [Figure(f"Average precision: {name}", _figure(rows, name)) for name in names],
+        settings={"samples": samples, "oracle": str(session.grid)},
+        most=OBJECTS[session.quick],
     )
-
-
-def _energies(session: Session, problem: RegraspProblem, samples: int) -> dict[str, EnergyModel]:
-    requests = [
-        TrainingRequest(problem, replace(v.training, seed=session.seed), round(samples * v.samples), session.seed)
-        for v in VARIANTS.values()
-    ]
-    distinct = {request.path: request for request in requests}
-    with progress_bar(session.quiet) as bar:
-        task = bar.add_task("training", total=len(distinct))
-        trained = trained_energies(
-            list(distinct.values()),
-            jobs=session.jobs,
-            progress=lambda done, total: bar.update(task, completed=done, total=total),
-        )
-    by_path = dict(zip(distinct, trained, strict=True))
-    return {label: by_path[request.path] for label, request in zip(VARIANTS, requests, strict=True)}
-
-
-def _item(
-    name: str, label: str, problem: RegraspProblem, energy: EnergyModel, pairs: list[Instance], seed: int
-) -> Item:
-    key = content_hash(problem_key(problem), energy.fingerprint(), instances_hash(pairs), seed, PER_PLACEMENT, SOLVES)
-    columns: Row = {"object": name, "variant": label}
-    return Item(f"{name}/{label}", key, measure_variant, (replace(problem), energy, label, pairs, seed), columns)
 
 
 def measure_variant(
@@ -171,42 +150,23 @@ def _with_grasps(problem: RegraspProblem, count: int | None) -> RegraspProblem:
 
 
 def _table(rows: list[Row], name: str) -> Table:
-    lines: list[tuple[Cell, ...]] = []
-    for label in VARIANTS:
-        here = [row for row in rows if row["object"] == name and row.get("variant") == label]
-        held_out = [row for row in here if "ap" in row]
-        pairs = [row for row in here if "converged" in row]
-        lines.append(
-            (
-                label,
-                mean([row["ap"] for row in held_out], 4),
-                mean([row["shared_f1"] for row in held_out], 4),
-                *(percent([row[f"sv_{k}"] for row in pairs]) for k in K_TOP),
-                percent([row["sv_refined"] for row in pairs]),
-                percent([row["converged"] for row in pairs]),
-                mean([row["iterations"] for row in pairs], 1),
-                round(median([row["solve_ms"] for row in pairs]), 1) if pairs else None,
-                mean([row["gain"] for row in pairs]),
-            )
-        )
-    return Table(
-        name,
-        (
-            "variant",
-            "AP",
-            "shared F1",
-            *(f"S.V. {k} [%]" for k in K_TOP),
-            "refined S.V. [%]",
-            "converged [%]",
-            "iterations",
-            "solve [ms]",
-            "gain in J",
-        ),
-        tuple(lines),
+    here = [row for row in rows if row["object"] == name]
+    groups = {label: [row for row in here if row.get("variant") == label] for label in VARIANTS}
+    columns = {
+        "AP": tables.average("ap", 4),
+        "shared F1": tables.average("shared_f1", 4),
+        **{f"S.V. {k} [%]": tables.share(f"sv_{k}") for k in K_TOP},
+        "refined S.V. [%]": tables.share("sv_refined"),
+        "converged [%]": tables.share("converged"),
+        "iterations": tables.average("iterations", 1),
+        "solve [ms]": tables.middle("solve_ms", 1),
+        "gain in J": tables.average("gain"),
+    }
+    note = (
         f"Refined S.V., converged, iterations, time and gain: Ipopt from the {SOLVES} cheapest poses of each pair. "
-        f"Costs "
-        "of different energies are not comparable, and neither are their gains.",
+        "Costs of different energies are not comparable, and neither are their gains."
     )
+    return tables.summary(name, ("variant",), groups, columns, note)
 
 
 def _figure(rows: list[Row], name: str) -> go.Figure:

@@ -18,9 +18,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from regrasp_opt.benchmarks.harness.report import Cell, Report, Table
+from regrasp_opt.benchmarks.harness import tables
+from regrasp_opt.benchmarks.harness.experiment import run_experiment
+from regrasp_opt.benchmarks.harness.instances import Instance, random_instances
+from regrasp_opt.benchmarks.harness.report import Report, Table
 from regrasp_opt.benchmarks.harness.runner import Item, Row
-from regrasp_opt.benchmarks.harness.session import Session, error_rows, usable
+from regrasp_opt.benchmarks.harness.session import Session
 from regrasp_opt.benchmarks.harness.subjects import planning_key
 from regrasp_opt.connectivity import BLOCKED, SequenceObjective, exact_energy
 from regrasp_opt.connectivity.casadi_chain import cost_of_scores, pair_score
@@ -29,7 +32,6 @@ from regrasp_opt.energy.casadi_energy import CasadiEnergy
 from regrasp_opt.errors import OptionError
 from regrasp_opt.files import content_hash
 from regrasp_opt.planning import RegraspProblem
-from regrasp_opt.planning.tasks import Task, random_task
 from regrasp_opt.solvers import Candidates, NlpRefiner, ProgramOptions, lattice_starts
 from regrasp_opt.solvers.options import plugin_options
 from regrasp_opt.threads import one_blas_thread
@@ -51,41 +53,34 @@ WAYS = ("planner", "nlp", "opti", "plain")
 
 def run_embedding(session: Session) -> Report:
     """Measure the time of one local search in each of the ways, one process at a time."""
-    subjects = session.subjects()
-    items: list[Item] = []
-    hashes: dict[str, str] = {}
-    for name, problem in usable(subjects):
-        rng = session.rng(60)
-        tasks = [random_task(problem, rng, needs_regrasp=True) for _ in range(PAIRS[session.quick])]
-        hashes[name] = content_hash(*(T for task in tasks for T in (task.start, task.goal)))
-        for number, task in enumerate(tasks):
-            depends = content_hash(planning_key(problem), task.start, task.goal, REPEATS)
-            items += [
-                Item(
-                    f"{name}/{number}/{count}",
-                    depends,
-                    embedding_rows,
-                    (replace(problem), task, count),
-                    {"object": name, "pair": number, "N": count},
-                )
-                for count in REGRASPS
-            ]
-    results = replace(session, jobs=1).execute("embedding", items)
-    rows = results.rows + error_rows(subjects)
-    settings: dict[str, Any] = {"quick": session.quick, "seed": session.seed, "repeats": REPEATS}
-    return Report(
+
+    def work(name: str, problem: RegraspProblem) -> tuple[list[Item], str]:
+        pairs = random_instances(problem, session.rng(60), PAIRS[session.quick], name)
+        items = [
+            Item(
+                f"{pair.name}/{regrasps}",
+                content_hash(planning_key(problem), pair.start, pair.goal, REPEATS),
+                embedding_rows,
+                (replace(problem), pair, regrasps),
+                {"object": name, "pair": number, "N": regrasps},
+            )
+            for number, pair in enumerate(pairs)
+            for regrasps in REGRASPS
+        ]
+        return items, content_hash(*(T for pair in pairs for T in (pair.start, pair.goal)))
+
+    return run_experiment(
+        replace(session, jobs=1),
         "embedding",
         "Our functions in other programs",
         TEXT,
-        (_table(rows),),
-        rows,
-        instances=hashes,
-        revisions=results.revisions,
-        settings=settings,
+        work,
+        lambda rows, names: [_table(rows)],
+        settings={"repeats": REPEATS},
     )
 
 
-def embedding_rows(problem: RegraspProblem, task: Task, num_regrasps: int) -> list[Row]:
+def embedding_rows(problem: RegraspProblem, pair: Instance, num_regrasps: int) -> list[Row]:
     """Return one row with the median time [ms], iterations and final cost of each way.
 
     Raises
@@ -93,7 +88,7 @@ def embedding_rows(problem: RegraspProblem, task: Task, num_regrasps: int) -> li
     OptionError
         If no lattice chain has a chance to hold.
     """
-    ends = [exact_energy(problem.feasible_grasps(T)) for T in (task.start, task.goal)]
+    ends = [exact_energy(problem.feasible_grasps(T)) for T in pair.ends]
     objective = problem.objective(ends[0], ends[1])
     with one_blas_thread():
         starts = lattice_starts(problem.lattice, objective, num_regrasps, 1, np.random.default_rng(0))
@@ -180,16 +175,16 @@ def _plain_cost(problem: RegraspProblem, objective: SequenceObjective, starts: C
 
 
 def _table(rows: list[Row]) -> Table:
-    lines: list[tuple[Cell, ...]] = []
-    for count in REGRASPS:
-        here = [row for row in rows if row.get("N") == count and "nlp_ms" in row]
-        if here:
-            times = [round(median(row[f"{way}_ms"] for row in here), 1) for way in WAYS]
-            ratios = [
-                round(median(row[f"{way}_ms"] / row[f"{other}_ms"] for row in here), 2)
-                for way, other in (("opti", "planner"), ("opti", "nlp"), ("plain", "opti"))
-            ]
-            lines.append((count, len(here), *times, *ratios))
-    columns = ("N", "searches", *(f"{way} [ms]" for way in WAYS), "opti / planner", "opti / nlp", "plain / opti")
+    groups = tables.grouped([row for row in rows if "nlp_ms" in row], "N")
+    columns: dict[str, tables.Column] = {
+        "searches": len,
+        **{f"{way} [ms]": tables.middle(f"{way}_ms", 1) for way in WAYS},
+    }
+    for way, other in (("opti", "planner"), ("opti", "nlp"), ("plain", "opti")):
+        columns[f"{way} / {other}"] = _ratio(way, other)
     note = "Medians over the searches; a ratio is the median of each search's own ratio."
-    return Table("One local search", columns, tuple(lines), note)
+    return tables.summary("One local search", ("N",), dict(sorted(groups.items())), columns, note)
+
+
+def _ratio(way: str, other: str) -> tables.Column:
+    return tables.middle(lambda row: row[f"{way}_ms"] / row[f"{other}_ms"], 2)

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
-from regrasp_opt.benchmarks.harness.report import Cell, Report, Table, mean, percent
+from regrasp_opt.benchmarks.harness import tables
+from regrasp_opt.benchmarks.harness.experiment import pair_item, run_experiment
+from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash, random_instances
+from regrasp_opt.benchmarks.harness.report import Report, Table
 from regrasp_opt.benchmarks.harness.runner import Item, Row
-from regrasp_opt.benchmarks.harness.session import Session, error_rows, usable
-from regrasp_opt.benchmarks.harness.subjects import planning_key, resident
+from regrasp_opt.benchmarks.harness.session import Session
+from regrasp_opt.benchmarks.harness.subjects import resident
 from regrasp_opt.conventions import IntArray
-from regrasp_opt.files import content_hash
 from regrasp_opt.motion import refine_plan, solve_with_free_grasps
 from regrasp_opt.motion.refinement.measures import Measure
 from regrasp_opt.planning import RegraspProblem, solve_sequence
-from regrasp_opt.planning.tasks import random_task
 
 TEXT = (
     "Start-goal pairs without a shared grasp. Joint problem: a verified plan is refined at equal N for the least joint"
@@ -40,42 +41,30 @@ MEASURES: tuple[Measure, ...] = ("travel", "clearance")
 
 def run_joint(session: Session) -> Report:
     """Measure joint travel, least clearance and the share of thinned instances that free grasps solve."""
-    subjects = session.subjects()
-    items: list[Item] = []
-    hashes: dict[str, str] = {}
-    for number, (name, problem) in enumerate(usable(subjects)):
-        pairs = _pairs(session, number, name, problem, max(PAIRS[session.quick], THINNED[session.quick]))
-        hashes[name] = instances_hash(pairs)
+    refined, thinned = PAIRS[session.quick], THINNED[session.quick]
+    numbers = itertools.count()
+
+    def work(name: str, problem: RegraspProblem) -> tuple[list[Item], str]:
+        number, seed = next(numbers), session.seed
+        pairs = random_instances(problem, session.rng(40, number), max(refined, thinned), name)
+        items = []
         for k, pair in enumerate(pairs):
-            depends = content_hash(planning_key(problem), instances_hash([pair]), session.seed)
-            columns: Row = {"object": name, "pair": pair.name}
-            if k < PAIRS[session.quick]:
-                arguments = (replace(problem), pair, session.seed)
-                items.append(Item(f"{pair.name}, refined", depends, refined_rows, arguments, columns))
-            if k < THINNED[session.quick]:
+            if k < refined:
+                items.append(pair_item(name, problem, pair, refined_rows, seed, label=", refined", depends=[seed]))
+            if k < thinned:
                 ids = np.sort(session.rng(41, number, k).permutation(len(problem.grasps))[:KEPT])
-                thinned = (replace(problem), pair, ids, session.seed)
-                items.append(Item(f"{pair.name}, thinned", depends, thinned_rows, thinned, columns))
-    results = session.execute("joint", items)
-    rows = results.rows + error_rows(subjects)
-    names = [name for name, _ in usable(subjects)]
-    return Report(
+                items.append(pair_item(name, problem, pair, thinned_rows, ids, seed, label=", thinned", depends=[seed]))
+        return items, instances_hash(pairs)
+
+    return run_experiment(
+        session,
         "joint",
         "Joint problem and free grasps",
         TEXT,
-        (*(_measure_table(rows, names, measure) for measure in MEASURES), _thinned_table(rows, names)),
-        rows,
-        (),
-        hashes,
-        results.revisions,
-        {"quick": session.quick, "seed": session.seed, "grasps kept": KEPT, "most regrasps": MAX_REGRASPS},
+        work,
+        lambda rows, names: (*(_measure_table(rows, names, m) for m in MEASURES), _thinned_table(rows, names)),
+        settings={"grasps kept": KEPT, "most regrasps": MAX_REGRASPS},
     )
-
-
-def _pairs(session: Session, number: int, name: str, problem: RegraspProblem, count: int) -> list[Instance]:
-    rng = session.rng(40, number)
-    tasks = [random_task(problem, rng, needs_regrasp=True) for _ in range(count)]
-    return [Instance(f"{name}/{k}", task.start, task.goal, None) for k, task in enumerate(tasks)]
 
 
 def refined_rows(problem: RegraspProblem, pair: Instance, seed: int) -> list[Row]:
@@ -132,58 +121,54 @@ def thinned_rows(problem: RegraspProblem, pair: Instance, ids: IntArray, seed: i
 
 def _measure_table(rows: Sequence[Row], names: Sequence[str], measure: Measure) -> Table:
     measured = [row for row in rows if row.get("measure") == measure and "after" in row]
-    unit, scale, change = ("rad", 1.0, "lowered") if measure == "travel" else ("mm", 1e3, "raised")
-    lines: list[tuple[Cell, ...]] = []
-    for name in (*names, "all"):
-        here = [row for row in measured if name in (row["object"], "all")]
-        values = [scale * np.array([row[key] for row in here]) for key in ("before", "discrete", "after")]
-        sign = -1.0 if measure == "travel" else 1.0
-        gains = [
-            _gain(values[0], values[1], sign),
-            _gain(values[1], values[2], sign),
-            _gain(values[0], values[2], sign),
-        ]
-        medians = [round(float(np.median(v)), 2) if len(v) else None for v in values]
-        proved = percent([row["proved"] for row in here])
-        lines.append((name, len(here), *medians, *gains, proved, mean([row["seconds"] for row in here])))
-    columns = (f"before [{unit}]", f"discrete [{unit}]", f"joint [{unit}]", "by the choice [%]", "by the program [%]")
-    return Table(
+    travel = measure == "travel"
+    unit, scale, change = ("rad", 1.0, "lowered") if travel else ("mm", 1e3, "raised")
+
+    def gain(before: str, after: str) -> tables.Column:
+        sign = -100 if travel else 100
+        return tables.middle(lambda row: sign * (row[after] / row[before] - 1), 1, of=lambda row: row[before] > 0)
+
+    columns: dict[str, tables.Column] = {
+        "pairs": len,
+        f"before [{unit}]": tables.middle(lambda row: scale * row["before"], 2),
+        f"discrete [{unit}]": tables.middle(lambda row: scale * row["discrete"], 2),
+        f"joint [{unit}]": tables.middle(lambda row: scale * row["after"], 2),
+        "by the choice [%]": gain("before", "discrete"),
+        "by the program [%]": gain("discrete", "after"),
+        "in all [%]": gain("before", "after"),
+        "proved [%]": tables.share("proved"),
+        "seconds": tables.average("seconds"),
+    }
+    return tables.summary(
         f"The {measure}, {change} at equal N",
-        ("object", "pairs", *columns, "in all [%]", "proved [%]", "seconds"),
-        tuple(lines),
+        ("object",),
+        tables.by_object(measured, names, "all"),
+        columns,
         f"Medians over pairs; the shares are medians of how much the {measure} was {change} in each pair, by the choice"
         " of grasps and branches, on top of that by the program, and by both. The time is a mean.",
     )
 
 
-def _gain(before: np.ndarray, after: np.ndarray, sign: float) -> float | None:
-    good = before > 0
-    return round(float(np.median(100 * sign * (after[good] / before[good] - 1))), 1) if good.any() else None
-
-
 def _thinned_table(rows: Sequence[Row], names: Sequence[str]) -> Table:
     measured = [row for row in rows if row.get("measure") == "free grasps"]
-    lines: list[tuple[Cell, ...]] = []
-    for name in (*names, "all"):
-        drawn = [row for row in measured if name in (row["object"], "all")]
-        here = [row for row in drawn if row["counts"]]
-        good = [row for row in here if row["status"] == "solved"]
-        lines.append(
-            (
-                name,
-                len(drawn),
-                len(here),
-                percent([row["status"] == "solved" for row in here]),
-                percent([row["proved"] for row in good]),
-                mean([row["moved grasps"] for row in good]),
-                mean([row["seconds"] for row in good]),
-                mean([row["seconds"] for row in here if row["status"] != "solved"]),
-            )
-        )
-    return Table(
+
+    def solved(row: Row) -> bool:
+        return row["counts"] and row["status"] == "solved"
+
+    columns: dict[str, tables.Column] = {
+        "drawn": len,
+        "unsolvable": tables.count("counts"),
+        "solved [%]": tables.share(solved, of="counts"),
+        "proved [%]": tables.share("proved", of=solved),
+        "moved grasps": tables.average("moved grasps", of=solved),
+        "solved [s]": tables.average("seconds", of=solved),
+        "gave up [s]": tables.average("seconds", of=lambda row: row["counts"] and not solved(row)),
+    }
+    return tables.summary(
         f"Free grasps where {KEPT} sampled ones hold no plan",
-        ("object", "drawn", "unsolvable", "solved [%]", "proved [%]", "moved grasps", "solved [s]", "gave up [s]"),
-        tuple(lines),
+        ("object",),
+        tables.by_object(measured, names, "all"),
+        columns,
         "Unsolvable: no plan with the thinned set, but one with the whole set. 'Proved' are those of the solved plans"
         " that the independent check confirms.",
     )

@@ -5,20 +5,18 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
-from weakref import WeakSet
 
-import numpy as np
-import plotly.graph_objects as go
-
-from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
-from regrasp_opt.benchmarks.harness.report import Cell, Figure, Report, Table, percent
+from regrasp_opt.benchmarks.harness import tables
+from regrasp_opt.benchmarks.harness.experiment import pair_item, run_experiment
+from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash, random_instances
+from regrasp_opt.benchmarks.harness.planners import warm_up
+from regrasp_opt.benchmarks.harness.report import Figure, Report, Table
 from regrasp_opt.benchmarks.harness.runner import Item, Row
-from regrasp_opt.benchmarks.harness.session import Session, error_rows, usable
-from regrasp_opt.benchmarks.harness.subjects import planning_key, resident
-from regrasp_opt.files import content_hash
+from regrasp_opt.benchmarks.harness.session import Session
+from regrasp_opt.benchmarks.harness.subjects import resident
 from regrasp_opt.motion import MotionOptions, plan_motion, plan_with_motion
 from regrasp_opt.planning import RegraspProblem, solve_sequence
-from regrasp_opt.planning.tasks import random_task
+from regrasp_opt.planning.recipes import RECIPES
 
 TEXT = (
     "Random start-goal pairs that need a regrasp. The first plan that is proved has its motion planned, from the "
@@ -33,47 +31,30 @@ TIME_LIMIT = 120.0
 
 def run_motion(session: Session) -> Report:
     """Plan motions for random pairs of every object, and keep them."""
-    subjects = session.subjects()
-    items: list[Item] = []
-    hashes: dict[str, str] = {}
-    for name, problem in usable(subjects):
-        instances = _instances(session, name, problem)
-        hashes[name] = instances_hash(instances)
-        for instance in instances:
-            depends = content_hash(planning_key(problem), instances_hash([instance]), session.seed, TIME_LIMIT)
-            arguments = (replace(problem), instance, session.seed, session.folder / "motion" / "motions")
-            items.append(Item(instance.name, depends, motion_row, arguments, {"object": name, "pair": instance.name}))
-    results = session.execute("motion", items)
-    rows = results.rows + error_rows(subjects)
-    names = [name for name, _ in usable(subjects)]
-    return Report(
+    folder = session.folder / "motion" / "motions"
+
+    def work(name: str, problem: RegraspProblem) -> tuple[list[Item], str]:
+        pairs = random_instances(problem, session.rng(40), PAIRS[session.quick], f"{name}/motion")
+        depends = session.seed, TIME_LIMIT
+        items = [pair_item(name, problem, p, motion_row, session.seed, folder, depends=depends) for p in pairs]
+        return items, instances_hash(pairs)
+
+    return run_experiment(
+        session,
         "motion",
         "Motion",
         TEXT,
-        (_table(rows, names), _failures(rows)),
-        rows,
-        (Figure("Time for poses and motion together", _figure(rows, names)),),
-        hashes,
-        results.revisions,
-        {"quick": session.quick, "seed": session.seed, "time limit [s]": TIME_LIMIT},
+        work,
+        lambda rows, names: (_table(rows, names), _failures(rows)),
+        figures=_figures,
+        settings={"time limit [s]": TIME_LIMIT},
     )
-
-
-def _instances(session: Session, name: str, problem: RegraspProblem) -> list[Instance]:
-    rng = session.rng(40)
-    tasks = [random_task(problem, rng, needs_regrasp=True) for _ in range(PAIRS[session.quick])]
-    return [Instance(f"{name}/motion/{i}", task.start, task.goal, None) for i, task in enumerate(tasks)]
-
-
-_warmed: WeakSet[RegraspProblem] = WeakSet()
 
 
 def motion_row(problem: RegraspProblem, instance: Instance, seed: int, folder: Path) -> list[Row]:
     """Plan poses and motion of `instance`, keep the motion in `folder`, and return the one row about it."""
     problem = resident(problem)
-    if problem not in _warmed:  # lattice and solvers are made once a problem
-        solve_sequence(problem, instance.start, instance.goal, max_regrasps=2, time_limit=5.0)
-        _warmed.add(problem)
+    warm_up(problem, instance, RECIPES["ipopt"]())
     options = MotionOptions(seed=seed)
     began = time.perf_counter()
     plan = solve_sequence(problem, instance.start, instance.goal, seed=seed, time_limit=TIME_LIMIT)
@@ -102,51 +83,26 @@ def motion_row(problem: RegraspProblem, instance: Instance, seed: int, folder: P
     return [{**row, "duration": round(motion.duration, 3), "stopping": round(stopping.duration, 3)}]
 
 
-def _select(rows: list[Row], name: str, key: str) -> list[Row]:
-    return [row for row in rows if row.get("object") == name and row.get(key)]
-
-
-def _median(values: list[float]) -> float | None:
-    return round(float(np.median(values)), 3) if values else None
-
-
 def _table(rows: list[Row], names: list[str]) -> Table:
-    lines: list[tuple[Cell, ...]] = []
-    for name in names:
-        solved, moved = _select(rows, name, "solved"), _select(rows, name, "moves")
-        lines.append(
-            (
-                name,
-                sum(row.get("object") == name and "solved" in row for row in rows),
-                len(solved),
-                percent([row["first_moves"] for row in solved]),
-                percent([row["moves"] for row in solved]),
-                _median([row["pose_seconds"] for row in moved]),
-                _median([row["motion_seconds"] for row in moved]),
-                _median([row["seconds"] for row in moved]),
-                max((row["seconds"] for row in moved), default=None),
-                _median([row["duration"] for row in moved]),
-                _median([row["stopping"] for row in moved]),
-                _median([row["duration"] / row["stopping"] for row in moved]),
-            )
-        )
-    return Table(
+    columns: dict[str, tables.Column] = {
+        "pairs": len,
+        "verified plans": tables.count("solved"),
+        "first moves [%]": tables.share("first_moves"),
+        "moves [%]": tables.share("moves"),
+        "poses [s]": tables.middle("pose_seconds", of="moves"),
+        "motion [s]": tables.middle("motion_seconds", of="moves"),
+        "both [s]": tables.middle("seconds", of="moves"),
+        "slowest [s]": lambda here: max(tables.values(here, "seconds", of="moves"), default=None),
+        "takes [s]": tables.middle("duration"),
+        "with stops [s]": tables.middle("stopping"),
+        "ratio": tables.middle(lambda row: row["duration"] / row["stopping"], of="moves"),
+    }
+    groups = tables.by_object([row for row in rows if "solved" in row], names)
+    return tables.summary(
         "Motions",
-        (
-            "object",
-            "pairs",
-            "verified plans",
-            "first moves [%]",
-            "moves [%]",
-            "poses [s]",
-            "motion [s]",
-            "both [s]",
-            "slowest [s]",
-            "takes [s]",
-            "with stops [s]",
-            "ratio",
-        ),
-        tuple(lines),
+        ("object",),
+        groups,
+        columns,
         "First moves: the first verified plan has a motion; moves: it or a later candidate has. Times are medians but "
         "for the slowest; takes: how long the arm moves; with stops: before trajectory optimisation, which is part of "
         "the time for the motion.",
@@ -155,23 +111,12 @@ def _table(rows: list[Row], names: list[str]) -> Table:
 
 def _failures(rows: list[Row]) -> Table:
     bad = [row for row in rows if "solved" in row and not row.get("first_moves")]
-    lines = [(row["pair"], row["status"], row.get("reason"), "yes" if row.get("moves") else "no") for row in bad]
-    return Table(
-        "Pairs whose first plan has no motion",
-        ("pair", "status", "reason", "a later one has"),
-        tuple(lines),
-        "" if lines else "There are none.",
-    )
+    columns: dict[str, tables.Value] = {"pair": "pair", "status": "status", "reason": "reason"}
+    columns["a later one has"] = lambda row: "yes" if row.get("moves") else "no"
+    return tables.listing("Pairs whose first plan has no motion", bad, columns)
 
 
-def _figure(rows: list[Row], names: list[str]) -> go.Figure:
-    figure = go.Figure()
-    for name in names:
-        here = _select(rows, name, "solved")
-        times = sorted(row["seconds"] for row in here if row["moves"])
-        share = [100 * (i + 1) / len(here) for i in range(len(times))]
-        figure.add_trace(go.Scatter(x=times, y=share, mode="lines", line={"shape": "hv"}, name=name))
-    figure.update_xaxes(type="log", title_text="seconds")
-    figure.update_yaxes(title_text="verified plans with a motion [%]", range=[0, 101])
-    figure.update_layout(height=380, margin={"l": 60, "r": 10, "t": 10, "b": 50})
-    return figure
+def _figures(rows: list[Row], names: list[str]) -> list[Figure]:
+    solved = tables.by_object([row for row in rows if row.get("solved")], names)
+    curves = tables.time_curves(solved, "seconds", "moves", "verified plans with a motion [%]")
+    return [Figure("Time for poses and motion together", curves)]

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from statistics import median
+from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
 
-from regrasp_opt.benchmarks.harness.instances import Instance, choose_instances, instances_hash
+from regrasp_opt.benchmarks.harness import tables
+from regrasp_opt.benchmarks.harness.experiment import pair_item, run_experiment
+from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
 from regrasp_opt.benchmarks.harness.planners import PLANNERS, graph_row, plan_row
-from regrasp_opt.benchmarks.harness.report import Cell, Figure, Report, Table, mean, percent
+from regrasp_opt.benchmarks.harness.report import Figure, Report, Table, mean, percent
 from regrasp_opt.benchmarks.harness.runner import Item, Row
-from regrasp_opt.benchmarks.harness.session import Session, error_rows, usable
-from regrasp_opt.benchmarks.harness.subjects import planning_key
+from regrasp_opt.benchmarks.harness.session import Session
 from regrasp_opt.benchmarks.paper.hard_tiers import Condition, hard_instances
-from regrasp_opt.files import content_hash
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.planning.model_store import read_report
 
@@ -41,38 +42,27 @@ TIME_LIMIT = {True: 20.0, False: 30.0}
 
 def run_refiners(session: Session) -> Report:
     """Measure success, quality and time of every planner."""
-    subjects = session.subjects()
-    items: list[Item] = []
-    hashes: dict[str, str] = {}
-    for name, problem in usable(subjects):
+
+    def work(name: str, problem: RegraspProblem) -> tuple[list[Item], str]:
         pairs = _instances(session, name, problem)
-        hashes[name] = instances_hash([instance for _, instance in pairs])
-        for condition, instance in pairs:
-            items += _items(session, name, condition, instance)
-    results = session.execute("refiners", items)
-    rows = results.rows + error_rows(subjects)
-    return Report(
+        items = [item for condition, pair in pairs for item in _items(session, name, condition, pair)]
+        return items, instances_hash([pair for _, pair in pairs])
+
+    return run_experiment(
+        session,
         "refiners",
         "Refiners and baselines",
         TEXT,
-        (_success_table(rows), _quality_table(rows)),
-        rows,
-        (Figure("Share of pairs with a proved plan over time", _figure(rows)),),
-        hashes,
-        results.revisions,
-        {
-            "quick": session.quick,
-            "seed": session.seed,
-            "oracle": str(session.grid),
-            "time limit [s]": TIME_LIMIT[session.quick],
-        },
-        _conclusion(rows),
+        work,
+        lambda rows, names: (_success_table(rows), _quality_table(rows)),
+        figures=_figures,
+        settings={"oracle": str(session.grid), "time limit [s]": TIME_LIMIT[session.quick]},
+        conclusion=_conclusion,
     )
 
 
 def _instances(session: Session, name: str, problem: RegraspProblem) -> list[tuple[Condition, Instance]]:
-    oracle = session.oracle(name, problem)
-    easy = choose_instances(session.pool(problem), oracle, {"any": PAIRS[session.quick]}, session.rng(40), name)
+    easy = session.chosen(name, problem, session.oracle(name, problem), {"any": PAIRS[session.quick]}, 40)
     every = Condition("all grasps", problem, session.grid, np.arange(len(problem.grasps)))
     pairs = [(every, instance) for instance in easy]
     hard = hard_instances(session, name, problem)
@@ -83,25 +73,15 @@ def _instances(session: Session, name: str, problem: RegraspProblem) -> list[tup
 
 def _items(session: Session, name: str, condition: Condition, instance: Instance) -> list[Item]:
     reduced, limit = condition.reduced, TIME_LIMIT[session.quick]
-    depends = content_hash(planning_key(reduced), instances_hash([instance]), session.seed, limit, str(condition.grid))
-    bare, whole = replace(reduced), replace(condition.problem)
-    columns: Row = {"object": name, "pair": instance.name, "condition": condition.label}
+    whole, depends = replace(condition.problem), (session.seed, limit, str(condition.grid))
     prepared = sum(read_report(reduced.model_folder)["times"].values()) if reduced.model_folder else None
-    graph = Item(
-        f"{instance.name}/{GRAPH}",
-        depends,
-        graph_row,
-        (bare, whole, condition.ids, condition.grid, instance),
-        {**columns, "planner": GRAPH},
-    )
-    return [graph] + [
-        Item(
-            f"{instance.name}/{planner}",
-            depends,
-            plan_row,
-            (bare, instance, planner, session.seed, limit),
-            {**columns, "planner": planner, "before": None if planner in UNPREPARED else prepared},
-        )
+
+    def item(planner: str, function: Callable[..., list[Row]], *arguments: Any, **columns: Any) -> Item:
+        columns = {"condition": condition.label, "planner": planner, **columns}
+        return pair_item(name, reduced, instance, function, *arguments, label=f"/{planner}", depends=depends, **columns)
+
+    return [item(GRAPH, graph_row, whole, condition.ids, condition.grid)] + [
+        item(planner, plan_row, planner, session.seed, limit, before=None if planner in UNPREPARED else prepared)
         for planner in PLANNERS
     ]
 
@@ -113,34 +93,34 @@ def _by_planner(rows: list[Row]) -> dict[str, list[Row]]:
 
 
 def _success_table(rows: list[Row]) -> Table:
-    lines: list[tuple[Cell, ...]] = []
-    for planner, here in _by_planner(rows).items():
-        solvable = [row for row in here if row["minimum"] is not None]
-        good = [row for row in solvable if row["solved"]]
-        tiers = [[row["solved"] for row in solvable if row["tier"] == tier] for tier in ("1", "2", "3+")]
-        times = sorted(row["first_proof"] for row in here if row["solved"])
-        lines.append(
-            (
-                planner,
-                len(here),
-                percent([row["solved"] for row in solvable]),
-                *(percent(tier) for tier in tiers),
-                percent([row["num_regrasps"] <= row["minimum"] for row in good]),
-                round(median(times), 3) if times else None,
-                round(times[int(0.9 * (len(times) - 1))], 3) if times else None,
-                mean([row["seconds"] for row in here], 3),
-                mean([row["before"] for row in here if row.get("before") is not None], 1),
-            )
-        )
-    return Table(
+    def solvable(row: Row) -> bool:
+        return row["minimum"] is not None
+
+    def late(here: list[Row]) -> float | None:
+        times = sorted(tables.values(here, "first_proof", of="solved"))
+        return round(times[int(0.9 * (len(times) - 1))], 3) if times else None
+
+    columns: dict[str, tables.Column] = {"pairs": len, "proved [%]": tables.share("solved", of=solvable)}
+    for tier, label in (("1", "N=1"), ("2", "N=2"), ("3+", "N>=3")):
+        columns[label] = tables.share("solved", of=lambda row, tier=tier: row["tier"] == tier)
+    columns |= {
+        "N no more than oracle [%]": tables.share(
+            lambda row: row["num_regrasps"] <= row["minimum"], of=lambda row: solvable(row) and row["solved"]
+        ),
+        "median [s]": tables.middle("first_proof", of="solved"),
+        "90 % [s]": late,
+        "mean, all [s]": tables.average("seconds", 3),
+        "before [s]": tables.average("before", 1),
+    }
+    return tables.summary(
         "Success and time to the first proved plan",
-        ("planner", "pairs", "proved [%]", "N=1", "N=2", "N>=3", "N no more than oracle [%]", "median [s]",
-         "90 % [s]", "mean, all [s]", "before [s]"),
-        tuple(lines),
+        ("planner",),
+        _by_planner(rows),
+        columns,
         "Proved: of the pairs that the oracle solves. Mean, all: time spent on every pair, solved or not. Before: "
         "what is made once for an object, workcell and grasp set: the exact grid (processor time), or grasps, labels "
         "and trained energies (by the clock).",
-    )  # fmt: skip
+    )
 
 
 def _quality_table(rows: list[Row]) -> Table:
@@ -148,47 +128,33 @@ def _quality_table(rows: list[Row]) -> Table:
     solved_by_all = set.intersection(
         *({row["pair"] for row in here if row["solved"]} for planner, here in by_planner.items() if planner != GRAPH)
     )
-    lines: list[tuple[Cell, ...]] = []
-    for planner, here in by_planner.items():
-        good = [row for row in here if row["solved"] and row["pair"] in solved_by_all]
-        solves = sum(row.get("solves", 0) for row in here)
-        lines.append(
-            (
-                planner,
-                len(good),
-                mean([row["num_regrasps"] for row in good]),
-                mean([row["cost"] for row in good if row.get("cost") is not None]),
-                mean([row["bottleneck"] for row in good], 1),
-                mean([row["clearance_mm"] for row in good if row.get("clearance_mm") is not None], 1),
-                mean([row["iterations"] for row in good if "iterations" in row], 1),
-                mean([row["evaluations"] for row in good if "evaluations" in row], 0),
-                percent([1.0] * sum(row.get("converged", 0) for row in here) + [0.0] * _unconverged(here))
-                if solves
-                else None,
-            )
-        )
-    return Table(
+
+    def good(row: Row) -> bool:
+        return row["solved"] and row["pair"] in solved_by_all
+
+    def converged(here: list[Row]) -> float | None:
+        solves = sum(tables.values(here, "solves"))
+        return percent([sum(tables.values(here, "converged")) / solves]) if solves else None
+
+    columns: dict[str, tables.Column] = {
+        "pairs": tables.count(good),
+        "N": tables.average("num_regrasps", of=good),
+        "J_seq": tables.average("cost", of=good),
+        "bottleneck [grasps]": tables.average("bottleneck", 1, of=good),
+        "clearance [mm]": tables.average("clearance_mm", 1, of=good),
+        "iterations": tables.average("iterations", 1, of=good),
+        "evaluations": tables.average("evaluations", 0, of=good),
+        "converged [%]": converged,
+    }
+    return tables.summary(
         "Plans for the pairs that every refiner solved",
-        (
-            "planner",
-            "pairs",
-            "N",
-            "J_seq",
-            "bottleneck [grasps]",
-            "clearance [mm]",
-            "iterations",
-            "evaluations",
-            "converged [%]",
-        ),
-        tuple(lines),
+        ("planner",),
+        by_planner,
+        columns,
         "Bottleneck: fewest shared grasps of a transition. Clearance: of the clearest grasp of the tightest "
         "transition. Evaluations: of J_seq and its derivatives by the refiner; a lattice's energies are made before. "
         "Converged: share of all nonlinear solves.",
     )
-
-
-def _unconverged(here: list[Row]) -> int:
-    return sum(row.get("solves", 0) - row.get("converged", 0) for row in here)
 
 
 def _conclusion(rows: list[Row]) -> str:
@@ -239,13 +205,6 @@ def _evaluations(here: list[Row]) -> str:
     return f"{sum(row['evaluations'] for row in here) / max(1, sum(row['solves'] for row in here)):.0f}"
 
 
-def _figure(rows: list[Row]) -> go.Figure:
-    figure = go.Figure()
-    for planner, here in _by_planner(rows).items():
-        times = sorted(row["first_proof"] for row in here if row["solved"])
-        share = [100 * (i + 1) / len(here) for i in range(len(times))]
-        figure.add_trace(go.Scatter(x=times, y=share, mode="lines", line={"shape": "hv"}, name=planner))
-    figure.update_xaxes(type="log", title_text="seconds")
-    figure.update_yaxes(title_text="pairs with a proved plan [%]", range=[0, 101])
-    figure.update_layout(height=420, margin={"l": 60, "r": 10, "t": 10, "b": 50})
-    return figure
+def _figures(rows: list[Row], names: list[str]) -> list[Figure]:
+    curves = tables.time_curves(_by_planner(rows), "first_proof", "solved", "pairs with a proved plan [%]", height=420)
+    return [Figure("Share of pairs with a proved plan over time", curves)]

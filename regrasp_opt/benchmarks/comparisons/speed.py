@@ -23,6 +23,7 @@ import numpy as np
 from regrasp_opt.benchmarks.comparisons import kernels
 from regrasp_opt.benchmarks.comparisons.speed_page import performance_page
 from regrasp_opt.benchmarks.harness.environment import environment
+from regrasp_opt.benchmarks.harness.runner import Row
 from regrasp_opt.files import atomic_path
 from regrasp_opt.objects import OBJECT_NAMES
 from regrasp_opt.planning import Recipe, RegraspPlan, RegraspProblem, solve_sequence
@@ -31,29 +32,16 @@ from regrasp_opt.solvers import NlpRefiner
 
 THIN_GRASPS = 12
 """Grasps of the problems with few of them: with all, few tasks need two regrasps, and nearly none three."""
-Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Sizes:
-    """How much is measured.
+class SpeedSizes:
+    """How much is measured, all of these being numbers.
 
-    Attributes
-    ----------
-    plans : int
-        Number of tasks with all grasps for each object.
-    thin : int
-        Number of plans with two or three regrasps that are looked for with few grasps.
-    langevin : int
-        Number of the tasks with one regrasp, from the first, that are also planned by Langevin at the paper's setting.
-    repeats : int
-        Number of times that each derivative and each point of a curve is timed.
-    checks : int
-        Number of pairs of a pose and a grasp that are checked exactly.
-    runs : int
-        Number of times that `regrasp-opt --help` and `regrasp-opt plan` are started as whole processes.
-    samples : int
-        Number of feasible pairs of a pose and a grasp on which the model of each mesh is trained.
+    Of each object `plans` tasks with all grasps; of the first with one regrasp `langevin` by Langevin at the paper's
+    setting too; `thin` plans with two or three regrasps, with few grasps. Each derivative and each point of a curve is
+    timed in `repeats` turns, `checks` pairs are checked exactly, `regrasp-opt --help` and `regrasp-opt plan` are run
+    `runs` times, and the model of each mesh is trained on `samples` feasible pairs.
     """
 
     plans: int
@@ -65,11 +53,11 @@ class Sizes:
     samples: int
 
 
-QUICK = Sizes(12, 6, 1, 5, 10_000, 3, 2_000)
-FULL = Sizes(200, 40, 30, 25, 100_000, 7, 20_000)
+QUICK = SpeedSizes(12, 6, 1, 5, 10_000, 3, 2_000)
+FULL = SpeedSizes(200, 40, 30, 25, 100_000, 7, 20_000)
 
 
-def plan_rows(name: str, sizes: Sizes, tell: Callable[[str], None]) -> list[Row]:
+def plan_rows(name: str, sizes: SpeedSizes, tell: Callable[[str], None]) -> list[Row]:
     """Return one row for each timed plan of a built-in object: with all grasps, by Langevin, with few grasps."""
     problem = RegraspProblem.load(name, "nova2-w")
     rng = np.random.default_rng(0)

@@ -7,28 +7,22 @@ from typing import Any
 
 import numpy as np
 
-Row = dict[str, Any]
+from regrasp_opt.benchmarks.harness.report import markdown
+from regrasp_opt.benchmarks.harness.runner import Row
+
 PARTS = {
-    "ends": "exact feasibility at start and goal",
-    "starts": "lattice chains",
-    "refine": "Ipopt, energies included",
-    "verify": "proof of candidates (inverse kinematics, collision)",
-    "transitions": "all shared grasps, configurations, clearances",
+    "ends": ("exact feasibility at start and goal", "one exact check of every grasp at two poses"),
+    "starts": ("lattice chains", "reading the lattice's likelihoods once"),
+    "refine": ("Ipopt, energies included", "three passes of the network over the grasps, for each iteration"),
+    "verify": ("proof of candidates (inverse kinematics, collision)", "one feasible branch for each transition"),
+    "transitions": ("all shared grasps, configurations, clearances", "every branch of every shared grasp"),
 }
-BOUNDS = {
-    "ends": "one exact check of every grasp at two poses",
-    "starts": "reading the lattice's likelihoods once",
-    "refine": "three passes of the network over the grasps, for each iteration",
-    "verify": "one feasible branch for each transition",
-    "transitions": "every branch of every shared grasp",
-}
+"""Parts of a plan: what they are, and what bounds their time from below."""
 
 
 def table(header: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
     """Return a Markdown table."""
-    lines = ["| " + " | ".join(map(str, cells)) + " |" for cells in (header, *rows)]
-    lines.insert(1, "|" + " --- |" * lines[0].count(" | ") + " --- |")
-    return "\n".join(lines)
+    return "\n".join(markdown(header, rows))
 
 
 def performance_page(result: dict[str, Any], environment: dict[str, Any], command: str) -> str:
@@ -112,10 +106,10 @@ def _breakdown(rows: list[Row]) -> str:
     chosen = [row for row in rows if _all_grasps(row) and row["N"] == 1]
     total = float(np.median([row["seconds"] for row in chosen]))
     lines, known = [], 0.0
-    for part, meaning in PARTS.items():
+    for part, (meaning, bound) in PARTS.items():
         seconds = float(np.median([row.get(f"t_{part}", 0.0) for row in chosen]))
         known += seconds
-        lines.append([meaning, f"{1e3 * seconds:.1f}", f"{seconds / total:.0%}", BOUNDS[part]])
+        lines.append([meaning, f"{1e3 * seconds:.1f}", f"{seconds / total:.0%}", bound])
     lines.append(["the rest", f"{1e3 * max(total - known, 0.0):.1f}", f"{max(1 - known / total, 0.0):.0%}", ""])
     return table(["part", "median [ms]", "share", "bounded from below by"], lines)
 

@@ -14,6 +14,7 @@ from regrasp_opt.feasibility.dataset import random_poses
 from regrasp_opt.files import content_hash
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.planning.ends import checked_end
+from regrasp_opt.planning.tasks import random_task
 
 POOL = 400
 """Random poses among which pairs are chosen."""
@@ -115,6 +116,12 @@ def choose_instances(
             minimum = int(table[i, j]) if np.isfinite(table[i, j]) else None
             chosen.append(Instance(f"{prefix}/{tier}/{len(chosen)}", pool.T[i], pool.T[j], minimum))
     return chosen
+
+
+def random_instances(problem: RegraspProblem, rng: np.random.Generator, count: int, prefix: str) -> list[Instance]:
+    """Return `count` random pairs that need a regrasp; the fewest that each needs is not known."""
+    tasks = [random_task(problem, rng, needs_regrasp=True) for _ in range(count)]
+    return [Instance(f"{prefix}/{k}", task.start, task.goal, None) for k, task in enumerate(tasks)]
 
 
 def instances_hash(instances: Sequence[Instance]) -> str:

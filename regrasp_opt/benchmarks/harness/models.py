@@ -6,10 +6,11 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import joblib
 
-from regrasp_opt.benchmarks.harness.parallel import in_parallel
+from regrasp_opt.benchmarks.harness.parallel import resumed
 from regrasp_opt.benchmarks.harness.subjects import problem_key
 from regrasp_opt.energy.calibration import calibrate
 from regrasp_opt.energy.features import pair_features
@@ -61,41 +62,39 @@ def trained_energies(
     RegraspError
         If no grasp of a problem is feasible, or its labels cannot train an energy.
     """
-    energies = [_stored(request) for request in requests]
-    missing = [i for i, energy in enumerate(energies) if energy is None]
-    for i in missing:
-        label_pairs(requests[i].labelling, requests[i].samples, folder=_labels(), jobs=jobs)
-    done = len(requests) - len(missing)
-    if missing:
-        bare = {i: replace(requests[i], problem=replace(requests[i].problem)) for i in missing}
-        for i, energy in in_parallel((joblib.delayed(_train)(i, request) for i, request in bare.items()), jobs):
-            save_energy(energy, requests[i].path)
-            energies[i] = energy
-            done += 1
-            if progress is not None:
-                progress(done, len(requests))
-    return [energy for energy in energies if energy is not None]
+    unique = {request.path: request for request in requests}
+
+    def work(path: Path) -> Any:
+        request = unique[path]
+        label_pairs(request.labelling, request.samples, folder=_labels(), jobs=jobs)
+        return joblib.delayed(_train)(replace(request, problem=replace(request.problem)))
+
+    def keep(path: Path, energy: EnergyModel) -> None:
+        save_energy(energy, path)
+
+    energies = resumed(list(unique), _stored, work, keep, jobs, progress)
+    return [energies[request.path] for request in requests]
 
 
 def _labels() -> Path:
     return data_home() / "labels"
 
 
-def _stored(request: TrainingRequest) -> EnergyModel | None:
-    if not request.path.is_file():
+def _stored(path: Path) -> EnergyModel | None:
+    if not path.is_file():
         return None
     try:
-        return load_energy(request.path)
+        return load_energy(path)
     except ModelError as error:
         logger.warning("%s; it is trained again", error)
         return None
 
 
-def _train(number: int, request: TrainingRequest) -> tuple[int, EnergyModel]:
+def _train(request: TrainingRequest) -> tuple[Path, EnergyModel]:
     """Train and calibrate in a worker; the labels are read from disk, where `trained_energies` has put them."""
     pairs = label_pairs(request.labelling, request.samples, folder=_labels(), jobs=1)
     held_out = label_poses(request.labelling, HELD_OUT_POSES, jobs=1)
     grasps, options = request.problem.grasps, request.options
     features = pair_features(pairs.T, grasps.subset(pairs.grasp_ids), options.features, options.use_width)
     model = train(features, pairs.feasible, options)
-    return number, calibrate(model, GraspEnergy(model, grasps), held_out.T, held_out.feasible, request.seed)
+    return request.path, calibrate(model, GraspEnergy(model, grasps), held_out.T, held_out.feasible, request.seed)

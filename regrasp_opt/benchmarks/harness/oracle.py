@@ -20,7 +20,7 @@ import joblib
 import numpy as np
 from scipy.sparse.csgraph import shortest_path
 
-from regrasp_opt.benchmarks.harness.parallel import in_parallel
+from regrasp_opt.benchmarks.harness.parallel import resumed
 from regrasp_opt.benchmarks.harness.subjects import problem_key, resident
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, planar_transform
 from regrasp_opt.errors import OptionError
@@ -139,28 +139,18 @@ def build_oracle(
     numbers, xi = grid_poses(len(problem.placements), problem.workcell.bounds.array, resolution)
     key = content_hash("oracle-2", problem_key(problem), xi, numbers)[:32]
     folder = data_home() / "oracle" / key
-    firsts = range(0, len(numbers), BLOCK)
-    sizes = [min(BLOCK, len(numbers) - first) for first in firsts]
-    paths = [folder / f"{first:07d}.npz" for first in firsts]
-    stored = [_read(path, (size, len(problem.grasps))) for path, size in zip(paths, sizes, strict=True)]
-    missing = [i for i, block in enumerate(stored) if block is None]
-    done = len(paths) - len(missing)
-    if missing:
-        bare = replace(problem)  # without the heavy parts that may be attached
-        work = (joblib.delayed(_check_block)(bare, i, numbers[slice_of(i)], xi[slice_of(i)]) for i in missing)
-        for i, block in in_parallel(work, jobs):
-            _write(paths[i], block)
-            stored[i] = block
-            done += 1
-            if progress is not None:
-                progress(done, len(paths))
-    blocks = [block for block in stored if block is not None]
-    return Oracle(numbers, xi, np.concatenate([b.feasible for b in blocks]), sum(b.seconds for b in blocks))
-
-
-def slice_of(block: int) -> slice:
-    """Return the poses of block number `block`."""
-    return slice(block * BLOCK, (block + 1) * BLOCK)
+    bare = replace(problem)  # without the heavy parts that may be attached
+    blocks = [slice(first, first + BLOCK) for first in range(0, len(numbers), BLOCK)]
+    parts = {folder / f"{part.start:07d}.npz": (numbers[part], xi[part]) for part in blocks}
+    found = resumed(
+        list(parts),
+        lambda path: _read(path, (len(parts[path][0]), len(problem.grasps))),
+        lambda path: joblib.delayed(_check_block)(bare, path, *parts[path]),
+        _write,
+        jobs,
+        progress,
+    ).values()
+    return Oracle(numbers, xi, np.concatenate([b.feasible for b in found]), sum(b.seconds for b in found))
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +159,7 @@ class _Block:
     seconds: float
 
 
-def _check_block(problem: RegraspProblem, number: int, placements: IntArray, xi: FloatArray) -> tuple[int, _Block]:
+def _check_block(problem: RegraspProblem, path: Path, placements: IntArray, xi: FloatArray) -> tuple[Path, _Block]:
     problem = resident(problem)
     began = time.process_time()
     poses = planar_transform(xi) @ problem.placement_poses[placements]
@@ -177,7 +167,7 @@ def _check_block(problem: RegraspProblem, number: int, placements: IntArray, xi:
     feasible = np.zeros_like(open_)
     for row, T, ids in zip(feasible, poses, map(np.flatnonzero, open_), strict=True):
         row[ids] = problem.checker.feasible(T, ids)
-    return number, _Block(feasible, time.process_time() - began)
+    return path, _Block(feasible, time.process_time() - began)
 
 
 def _write(path: Path, block: _Block) -> None:

@@ -67,7 +67,7 @@ def plan_row(
     problem = resident(problem)
     used = PLANNERS[recipe]() if isinstance(recipe, str) else recipe
     if warm:
-        _warm_up(problem, instance, used)
+        warm_up(problem, instance, used)
     plan = solve_sequence(
         problem, instance.start, instance.goal, used, max_regrasps=MAX_REGRASPS, seed=seed, time_limit=time_limit
     )
@@ -77,7 +77,7 @@ def plan_row(
 _warmed: WeakKeyDictionary[RegraspProblem, set[Recipe]] = WeakKeyDictionary()
 
 
-def _warm_up(problem: RegraspProblem, instance: Instance, recipe: Recipe) -> None:
+def warm_up(problem: RegraspProblem, instance: Instance, recipe: Recipe) -> None:
     """Build what `recipe` keeps for `problem`: the lattice, and solvers for one and for two regrasps."""
     done = _warmed.setdefault(problem, set())
     if recipe not in done:
@@ -116,7 +116,7 @@ def effort(plan: RegraspPlan) -> Row:
 
 
 def graph_row(
-    problem: RegraspProblem, whole: RegraspProblem, ids: IntArray, resolution: Resolution, instance: Instance
+    problem: RegraspProblem, instance: Instance, whole: RegraspProblem, ids: IntArray, resolution: Resolution
 ) -> list[Row]:
     """Plan `instance` on the discrete regrasp graph and return the one row about it.
 

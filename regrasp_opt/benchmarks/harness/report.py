@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
@@ -136,7 +136,7 @@ def _section(summary: dict[str, Any], level: int) -> list[str]:
     heading = "#" * level
     parts = [f"{heading} {summary['title']}", "", summary["text"], "", _provenance(summary), ""]
     for table in summary["tables"]:
-        parts += [f"{heading}# {table['title']}", "", *_markdown(table), ""]
+        parts += [f"{heading}# {table['title']}", "", *markdown(table["columns"], table["rows"]), ""]
         parts += [table["note"], ""] if table["note"] else []
     parts += [summary["conclusion"], ""] if summary.get("conclusion") else []
     for error in summary["errors"]:
@@ -173,9 +173,11 @@ def _provenance(summary: dict[str, Any]) -> str:
     )
 
 
-def _markdown(table: dict[str, Any]) -> list[str]:
-    lines = ["| " + " | ".join(table["columns"]) + " |", "| " + " | ".join("---" for _ in table["columns"]) + " |"]
-    return lines + ["| " + " | ".join(shown(cell) for cell in row) + " |" for row in table["rows"]]
+def markdown(header: Iterable[str], rows: Iterable[Iterable[Cell]]) -> list[str]:
+    """Return the lines of a Markdown table."""
+    head = list(header)
+    cells = [head, ["---"] * len(head), *([shown(cell) for cell in row] for row in rows)]
+    return ["| " + " | ".join(line) + " |" for line in cells]
 
 
 _STYLE = """body{font:15px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:1100px;padding:0 1rem;color:#1f2328}

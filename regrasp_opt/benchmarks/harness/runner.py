@@ -12,15 +12,16 @@ import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import joblib
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import Progress, TaskID
 
 from regrasp_opt.benchmarks.harness.environment import git_revision
-from regrasp_opt.benchmarks.harness.parallel import in_parallel
+from regrasp_opt.benchmarks.harness.parallel import resumed
 from regrasp_opt.errors import OptionError, RegraspError
 from regrasp_opt.files import atomic_path, content_hash
 
@@ -87,34 +88,33 @@ def run_items(items: Sequence[Item], folder: Path, *, jobs: int = -1, quiet: boo
     """
     if len({item.key for item in items}) < len(items):
         raise OptionError("two items of the benchmark have the same key; give each its own")
-    stored = [_read(folder / item.file_name, item) for item in items]
-    missing = [i for i, content in enumerate(stored) if content is None]
     revision = git_revision()
-    with progress_bar(quiet) as bar:
-        task = bar.add_task("instances", total=len(items), completed=len(items) - len(missing))
-        work = (joblib.delayed(_compute)(i, items[i]) for i in missing)
-        for i, rows in in_parallel(work, jobs) if missing else ():
-            content = {"key": items[i].key, "revision": revision, "rows": rows}
-            if not any("error" in row for row in rows):
-                _write(folder / items[i].file_name, content)
-            stored[i] = content
-            bar.advance(task)
-    contents = [content for content in stored if content is not None]
+    by_path = {folder / item.file_name: item for item in items}
+
+    def keep(path: Path, content: dict[str, Any]) -> None:
+        if not any("error" in row for row in content["rows"]):
+            with atomic_path(path) as temporary:
+                temporary.write_text(json.dumps(content), encoding="utf-8")
+
+    with progress(quiet) as show:
+        contents = resumed(
+            list(by_path),
+            lambda path: _read(path, by_path[path]),
+            lambda path: joblib.delayed(_compute)(path, by_path[path], revision),
+            keep,
+            jobs,
+            partial(show, "instances"),
+        ).values()
     rows = [row for content in contents for row in content["rows"]]
     return Results(rows, tuple(sorted({str(content["revision"]) for content in contents})))
 
 
-def _compute(number: int, item: Item) -> tuple[int, list[Row]]:
+def _compute(path: Path, item: Item, revision: str) -> tuple[Path, dict[str, Any]]:
     try:
         rows = item.function(*item.arguments)
     except RegraspError as error:
         rows = [{"error": str(error)}]
-    return number, [{**item.columns, **row} for row in rows]
-
-
-def _write(path: Path, content: dict[str, Any]) -> None:
-    with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(content), encoding="utf-8")
+    return path, {"key": item.key, "revision": revision, "rows": [{**item.columns, **row} for row in rows]}
 
 
 def _read(path: Path, item: Item) -> dict[str, Any] | None:
@@ -145,15 +145,17 @@ def write_csv(rows: Sequence[Row], path: Path) -> None:
 
 
 @contextmanager
-def progress_bar(quiet: bool = False) -> Iterator[Progress]:
-    """Yield a progress display on stderr; nothing is shown where that is no terminal."""
+def progress(quiet: bool = False) -> Iterator[Callable[[str, int, int], None]]:
+    """Yield what shows (what, done, in all) on stderr; nothing is shown where that is not a terminal."""
     console = Console(stderr=True)
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console, disable=quiet or not console.is_terminal, transient=True) as bar:
-        yield bar
+    with Progress(
+        *Progress.get_default_columns(), console=console, disable=quiet or not console.is_terminal, transient=True
+    ) as bar:
+        tasks: dict[str, TaskID] = {}
+
+        def show(what: str, done: int, total: int) -> None:
+            if what not in tasks:
+                tasks[what] = bar.add_task(what, total=total)
+            bar.update(tasks[what], completed=done, total=total)
+
+        yield show

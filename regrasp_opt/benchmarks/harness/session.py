@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
-from rich.progress import TaskID
 
-from regrasp_opt.benchmarks.harness.instances import PosePool
+from regrasp_opt.benchmarks.harness.instances import Instance, PosePool, choose_instances
+from regrasp_opt.benchmarks.harness.models import TrainingRequest, trained_energies
 from regrasp_opt.benchmarks.harness.oracle import PAPER_GRID, Oracle, Resolution, build_oracle
-from regrasp_opt.benchmarks.harness.runner import Item, Results, Row, progress_bar, run_items
-from regrasp_opt.benchmarks.harness.subjects import (
-    DEFAULT_WORKCELL,
-    Subject,
-    load_bodies,
-    load_subjects,
-    prepared_problem,
-)
+from regrasp_opt.benchmarks.harness.runner import Item, Results, Row, progress, run_items
+from regrasp_opt.benchmarks.harness.subjects import DEFAULT_WORKCELL, prepared_problem, sources
+from regrasp_opt.energy.model import EnergyModel
 from regrasp_opt.errors import RegraspError
-from regrasp_opt.objects import ObjectModel
+from regrasp_opt.objects import ObjectModel, load_object
 from regrasp_opt.objects.builtin import OBJECT_NAMES
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.scene import Workcell, load_workcell
 
+Made = TypeVar("Made")
 QUICK_GRID = Resolution(0.06, 12)
 """The oracle of quick runs."""
 
@@ -72,24 +70,27 @@ class Session:
         return QUICK_GRID if self.quick else COARSE_GRID
 
     def bodies(self) -> tuple[dict[str, ObjectModel], list[Row]]:
-        """Return the objects by name, and one row for each mesh that is none, with the reason."""
-        found = load_bodies(self.objects, self.names)
-        good = {name: body for name, body in found.items() if not isinstance(body, RegraspError)}
-        bad: list[Row] = [{"object": n, "error": str(e)} for n, e in found.items() if isinstance(e, RegraspError)]
-        return good, bad
+        """Return the objects by name, and one row for each mesh that cannot be used, with the reason."""
+        return self._each(load_object)
 
-    def subjects(self) -> list[Subject]:
-        """Return everything that is evaluated in the default workcell, with prepared models."""
-        with progress_bar(self.quiet) as bar:
-            tasks: dict[str, TaskID] = {}
+    def subjects(self) -> tuple[dict[str, RegraspProblem], list[Row]]:
+        """Return the problem of each object in the default workcell, and one row for each that has none, with why.
 
-            def show(what: str, done: int, total: int) -> None:
-                if what not in tasks:
-                    tasks[what] = bar.add_task(what, total=total)
-                bar.update(tasks[what], completed=done, total=total)
+        Models are prepared where there are none.
+        """
+        cell = load_workcell(DEFAULT_WORKCELL)
+        with progress(self.quiet) as show:
+            return self._each(lambda s: prepared_problem(load_object(s), cell, jobs=self.jobs, progress=show))
 
-            bodies, cell = load_bodies(self.objects, self.names), load_workcell(DEFAULT_WORKCELL)
-            return load_subjects(bodies, cell, jobs=self.jobs, progress=show)
+    def _each(self, make: Callable[[str | Path], Made]) -> tuple[dict[str, Made], list[Row]]:
+        found: dict[str, Made] = {}
+        bad: list[Row] = []
+        for name, source in sources(self.objects, self.names).items():
+            try:
+                found[name] = make(source)
+            except RegraspError as error:
+                bad.append({"object": name, "error": str(error)})
+        return found, bad
 
     def prepared(self, problem: RegraspProblem, cell: Workcell) -> RegraspProblem:
         """Return the object of `problem` in another workcell, with a model prepared for it."""
@@ -97,14 +98,20 @@ class Session:
 
     def oracle(self, name: str, problem: RegraspProblem, resolution: Resolution | None = None) -> Oracle:
         """Return the ground truth of `problem` on a grid; `name` is shown beside the progress."""
-        with progress_bar(self.quiet) as bar:
-            task = bar.add_task(f"ground truth, {name}", total=None)
-            return build_oracle(
-                problem,
-                resolution or self.grid,
-                jobs=self.jobs,
-                progress=lambda done, total: bar.update(task, completed=done, total=total),
-            )
+        with progress(self.quiet) as show:
+            told = partial(show, f"ground truth, {name}")
+            return build_oracle(problem, resolution or self.grid, jobs=self.jobs, progress=told)
+
+    def trained(self, requests: Sequence[TrainingRequest]) -> list[EnergyModel]:
+        """Return the energies of `requests`, which are trained where that was not done before."""
+        with progress(self.quiet) as show:
+            return trained_energies(requests, jobs=self.jobs, progress=partial(show, "training"))
+
+    def chosen(
+        self, name: str, problem: RegraspProblem, oracle: Oracle, wanted: dict[str, int], *stream: int
+    ) -> list[Instance]:
+        """Return start-goal pairs of the object `name` as of `choose_instances`, drawn from a stream of numbers."""
+        return choose_instances(self.pool(problem), oracle, wanted, self.rng(*stream), name)
 
     def pool(self, problem: RegraspProblem) -> PosePool:
         """Return the random poses among which start-goal pairs of `problem` are chosen."""
@@ -117,13 +124,3 @@ class Session:
     def execute(self, experiment: str, items: Sequence[Item]) -> Results:
         """Compute the rows of `items`, or read what an earlier run left in the experiment's folder."""
         return run_items(items, self.folder / experiment / "items", jobs=self.jobs, quiet=self.quiet)
-
-
-def error_rows(subjects: Sequence[Subject]) -> list[Row]:
-    """Return one row for each subject that cannot be evaluated, with the reason."""
-    return [{"object": s.name, "error": s.error} for s in subjects if s.problem is None]
-
-
-def usable(subjects: Sequence[Subject]) -> list[tuple[str, RegraspProblem]]:
-    """Return name and problem of the subjects that can be evaluated."""
-    return [(s.name, s.problem) for s in subjects if s.problem is not None]

@@ -1,18 +1,15 @@
-"""What is evaluated: the built-in objects and the meshes of a folder, each with a prepared model.
-
-A mesh that cannot be used becomes a subject with an error instead of a problem; the others go on without it.
-"""
+"""What is evaluated: the built-in objects and the meshes of a folder, each with a prepared model."""
 
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
-from regrasp_opt.errors import ModelError, OptionError, RegraspError
+from regrasp_opt.errors import ModelError, OptionError
 from regrasp_opt.files import content_hash
 from regrasp_opt.geometry.mesh_files import MESH_SUFFIXES
-from regrasp_opt.objects import ObjectModel, load_object
+from regrasp_opt.objects import ObjectModel
 from regrasp_opt.objects.builtin import OBJECT_NAMES
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.planning.model_store import find_model
@@ -28,53 +25,16 @@ logger = logging.getLogger(__name__)
 _residents: dict[str, RegraspProblem] = {}
 
 
-@dataclass(frozen=True, eq=False)
-class Subject:
-    """An object to be evaluated.
-
-    Attributes
-    ----------
-    name : str
-        Built-in name, or name of the mesh file with its suffix.
-    problem : RegraspProblem or None
-    error : str
-        Why there is no problem.
-    """
-
-    name: str
-    problem: RegraspProblem | None
-    error: str = ""
-
-
-def load_bodies(folder: Path | None, names: tuple[str, ...] = OBJECT_NAMES) -> dict[str, ObjectModel | RegraspError]:
-    """Return the built-in objects `names`, then every mesh of `folder` by its file's name, or why it is no object.
+def sources(folder: Path | None, names: tuple[str, ...] = OBJECT_NAMES) -> dict[str, str | Path]:
+    """Return what the built-in objects `names` and the meshes of `folder` are loaded from, by the names they go by.
 
     Raises
     ------
     OptionError
         If `folder` is given and is not a folder or holds no mesh.
     """
-    sources: dict[str, str | Path] = {name: name for name in names}
-    sources |= {path.name: path for path in mesh_files(folder)} if folder is not None else {}
-    return {name: _body(source) for name, source in sources.items()}
-
-
-def _body(source: str | Path) -> ObjectModel | RegraspError:
-    try:
-        return load_object(source)
-    except RegraspError as error:
-        return error
-
-
-def load_subjects(
-    bodies: dict[str, ObjectModel | RegraspError],
-    cell: Workcell,
-    *,
-    jobs: int = -1,
-    progress: Progress | None = None,
-) -> list[Subject]:
-    """Return `bodies` as subjects, each with a model that was prepared for `cell`."""
-    return [_subject(name, body, cell, jobs, progress) for name, body in bodies.items()]
+    meshes = [] if folder is None else mesh_files(folder)
+    return {name: name for name in names} | {path.name: path for path in meshes}
 
 
 def mesh_files(folder: Path) -> list[Path]:
@@ -91,17 +51,6 @@ def mesh_files(folder: Path) -> list[Path]:
     if not found:
         raise OptionError(f"'{folder}' holds no mesh; give a folder with {', '.join(MESH_SUFFIXES)} files")
     return found
-
-
-def _subject(
-    name: str, body: ObjectModel | RegraspError, cell: Workcell, jobs: int, progress: Progress | None
-) -> Subject:
-    if isinstance(body, RegraspError):
-        return Subject(name, None, str(body))
-    try:
-        return Subject(name, prepared_problem(body, cell, jobs=jobs, progress=progress))
-    except RegraspError as error:
-        return Subject(name, None, str(error))
 
 
 def prepared_problem(

@@ -7,7 +7,6 @@ numbers of shared grasps beneath.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,16 +14,17 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 from scipy.stats import spearmanr
 
-from regrasp_opt.benchmarks.harness.instances import Instance, choose_instances, instances_hash, planar_parameters
+from regrasp_opt.benchmarks.harness import tables
+from regrasp_opt.benchmarks.harness.experiment import pair_item, run_experiment
+from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash, planar_parameters
 from regrasp_opt.benchmarks.harness.report import Cell, Figure, Report, Table, mean, percent
 from regrasp_opt.benchmarks.harness.runner import Item, Row
-from regrasp_opt.benchmarks.harness.session import Session, error_rows, usable
-from regrasp_opt.benchmarks.harness.subjects import planning_key, resident
+from regrasp_opt.benchmarks.harness.session import Session
+from regrasp_opt.benchmarks.harness.subjects import resident
 from regrasp_opt.connectivity import CostOptions, sequence_cost
 from regrasp_opt.connectivity.costs import COST_VARIANTS
 from regrasp_opt.conventions import FloatArray, planar_transform
 from regrasp_opt.energy.calibration import average_precision, best_threshold
-from regrasp_opt.files import content_hash
 from regrasp_opt.planning import RegraspProblem
 
 TEXT = (
@@ -45,36 +45,33 @@ FLAT = 1e-9
 
 def run_cost_sweep(session: Session) -> Report:
     """Measure compositionality and the sweep."""
-    subjects = session.subjects()
-    items: list[Item] = []
-    hashes: dict[str, str] = {}
-    for name, problem in usable(subjects):
-        oracle, pool = session.oracle(name, problem), session.pool(problem)
-        sums = choose_instances(pool, oracle, {"0": SUMS[session.quick]}, session.rng(50), name)
-        pairs = choose_instances(pool, oracle, {"1": CANDIDATES}, session.rng(51), name)
-        swept = [p for p in pairs if _same_placement(problem, p)][: PAIRS[session.quick]]
-        hashes[name] = instances_hash([*sums, *swept])
-        for instance, function in [(i, compare_sums) for i in sums] + [(i, sweep) for i in swept]:
-            depends = content_hash(planning_key(problem), instances_hash([instance]))
-            first = instance in (sums[0], swept[0] if swept else None)
-            columns: Row = {"object": name, "pair": instance.name, "part": function.__name__, "first": first}
-            arguments = (replace(problem), instance)
-            items.append(Item(f"{instance.name}/{function.__name__}", depends, function, arguments, columns))
-    results = session.execute("cost-sweep", items)
-    rows = results.rows + error_rows(subjects)
-    names = [name for name, _ in usable(subjects)]
-    figures = [Figure(f"Energies of all grasps at two poses: {n}", _sum_figure(rows, n)) for n in names]
-    figures += [Figure(f"Costs along the sweep: {n}", _sweep_figure(rows, n)) for n in names]
-    return Report(
+
+    def work(name: str, problem: RegraspProblem) -> tuple[list[Item], str]:
+        oracle = session.oracle(name, problem)
+        sums = session.chosen(name, problem, oracle, {"0": SUMS[session.quick]}, 50)
+        pairs = session.chosen(name, problem, oracle, {"1": CANDIDATES}, 51)
+        swept = [pair for pair in pairs if _same_placement(problem, pair)][: PAIRS[session.quick]]
+        items = [
+            pair_item(name, problem, pair, function, label=f"/{part}", part=part, first=pair is chosen[0])
+            for function, chosen in ((compare_sums, sums), (sweep, swept))
+            for pair in chosen
+            if (part := function.__name__)
+        ]
+        return items, instances_hash([*sums, *swept])
+
+    def figures(rows: list[Row], names: list[str]) -> list[Figure]:
+        sums = [Figure(f"Energies of all grasps at two poses: {n}", _sum_figure(rows, n)) for n in names]
+        return sums + [Figure(f"Costs along the sweep: {n}", _sweep_figure(rows, n)) for n in names]
+
+    return run_experiment(
+        session,
         "cost-sweep",
         "Energy compositionality and cost sweep",
         TEXT,
-        (_sum_table(rows, names), _sweep_table(rows, names)),
-        rows,
-        tuple(figures),
-        hashes,
-        results.revisions,
-        {"quick": session.quick, "seed": session.seed, "steps": STEPS},
+        work,
+        lambda rows, names: (_sum_table(rows, names), _sweep_table(rows, names)),
+        figures=figures,
+        settings={"steps": STEPS},
     )
 
 
@@ -146,15 +143,18 @@ def sweep_poses(problem: RegraspProblem, instance: Instance) -> FloatArray:
 
 
 def _sum_table(rows: list[Row], names: list[str]) -> Table:
-    lines: list[tuple[Cell, ...]] = []
-    for name in names:
-        here = [row for row in rows if row["object"] == name and "ap_shared" in row]
-        keys = ("ap_start", "ap_goal", "ap_shared", "f1_shared", "f1_at_h")
-        lines.append((name, len(here), *(mean([row[key] for row in here], 3) for key in keys)))
-    return Table(
+    keys = {
+        "AP start": "ap_start",
+        "AP goal": "ap_goal",
+        "AP shared": "ap_shared",
+        "best F1 shared": "f1_shared",
+        "F1 at h": "f1_at_h",
+    }
+    return tables.summary(
         "Summed energies against exact shared grasps",
-        ("object", "pairs", "AP start", "AP goal", "AP shared", "best F1 shared", "F1 at h"),
-        tuple(lines),
+        ("object",),
+        tables.by_object([row for row in rows if "ap_shared" in row], names),
+        {"pairs": len, **{title: tables.average(key, 3) for title, key in keys.items()}},
         "Average precision of ranking all grasps by energy, mean over pairs with at least one shared grasp.",
     )
 
@@ -164,18 +164,11 @@ def _sweep_table(rows: list[Row], names: list[str]) -> Table:
     for name in names:
         sweeps = _sweeps(rows, name, max(GRASP_COUNTS))
         open_ones = [s for s in sweeps if (_weakest(s) > 0).any()]
-        for variant in COST_VARIANTS:
-            lines.append(
-                (
-                    name,
-                    _COST_NAMES[variant],
-                    len(sweeps),
-                    len(open_ones),
-                    percent([_weakest(s)[int(_values(s, variant).argmin())] > 0 for s in open_ones]),
-                    percent([float((abs(np.diff(_values(s, variant))) < FLAT).mean()) for s in sweeps]),
-                    mean([_agreement(s, variant) for s in open_ones]),
-                )
-            )
+        for variant, label in _COST_NAMES.items():
+            valid = percent([_weakest(s)[int(_values(s, variant).argmin())] > 0 for s in open_ones])
+            flat = percent([float((abs(np.diff(_values(s, variant))) < FLAT).mean()) for s in sweeps])
+            agreement = mean([_agreement(s, variant) for s in open_ones])
+            lines.append((name, label, len(sweeps), len(open_ones), valid, flat, agreement))
     return Table(
         "Costs along the sweep, all grasps",
         ("object", "cost", "sweeps", "with a valid step", "minimum valid [%]", "flat steps [%]", "rank correlation"),
@@ -191,11 +184,7 @@ _COST_NAMES = {"J": "J_seq", "J+": "J+_seq", "Jh": "J^h_seq"}
 def _sweeps(rows: list[Row], name: str, count: int) -> list[list[Row]]:
     here = [row for row in rows if row["object"] == name and "step" in row]
     largest = max((row["grasps"] for row in here), default=0)
-    found: dict[str, list[Row]] = {}
-    for row in here:
-        if row["grasps"] == min(count, largest):
-            found.setdefault(row["pair"], []).append(row)
-    return list(found.values())
+    return list(tables.grouped([row for row in here if row["grasps"] == min(count, largest)], "pair").values())
 
 
 def _values(rows: list[Row], key: str) -> Any:
@@ -216,14 +205,9 @@ def _agreement(rows: list[Row], variant: str) -> float:
 def _sum_figure(rows: list[Row], name: str) -> go.Figure:
     grasps = [row for row in rows if row["object"] == name and "grasp" in row and row["first"]]
     figure = go.Figure()
-    labels = {
-        "shared": (True, True),
-        "start only": (True, False),
-        "goal only": (False, True),
-        "neither": (False, False),
-    }
-    for label, (start, goal) in labels.items():
-        here = [r for r in grasps if (r["feasible_start"], r["feasible_goal"]) == (start, goal)]
+    held = ((True, True), (True, False), (False, True), (False, False))
+    for label, ends in zip(("shared", "start only", "goal only", "neither"), held, strict=True):
+        here = [r for r in grasps if (r["feasible_start"], r["feasible_goal"]) == ends]
         figure.add_trace(
             go.Scatter(x=[r["E_start"] for r in here], y=[r["E_goal"] for r in here], mode="markers", name=label)
         )

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import plotly.graph_objects as go
 
-from regrasp_opt.benchmarks.harness.instances import Instance, choose_instances, instances_hash
-from regrasp_opt.benchmarks.harness.models import TrainingRequest, trained_energies
+from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
+from regrasp_opt.benchmarks.harness.models import TrainingRequest
 from regrasp_opt.benchmarks.harness.oracle import Oracle, Resolution
 from regrasp_opt.benchmarks.harness.report import Cell, Figure, Report, Table, mean, percent
-from regrasp_opt.benchmarks.harness.runner import Item, Row, progress_bar
+from regrasp_opt.benchmarks.harness.runner import Item, Row
 from regrasp_opt.benchmarks.harness.session import QUICK_GRID, Session
 from regrasp_opt.benchmarks.harness.subjects import problem_key, resident
 from regrasp_opt.benchmarks.paper.published import CROSS_EFFECTOR, END_EFFECTORS, PAPER_OBJECT
@@ -49,7 +49,7 @@ KINDS = {"grippers": END_EFFECTORS[:3], "suction": END_EFFECTORS[3:]}
 
 
 @dataclass(frozen=True)
-class Sizes:
+class TransferSizes:
     """What a run covers."""
 
     end_effectors: tuple[str, ...]
@@ -59,8 +59,8 @@ class Sizes:
     grid: Resolution
 
 
-QUICK = Sizes(("w", "r85", "s1"), 1, 2, 4_000, Resolution(0.1, 8))
-FULL = Sizes(END_EFFECTORS, None, 50, 20_000, QUICK_GRID)
+QUICK = TransferSizes(("w", "r85", "s1"), 1, 2, 4_000, Resolution(0.1, 8))
+FULL = TransferSizes(END_EFFECTORS, None, 50, 20_000, QUICK_GRID)
 
 
 def run_cross_effector(session: Session) -> Report:
@@ -80,12 +80,14 @@ def run_cross_effector(session: Session) -> Report:
         for tested, problem in problems.items():
             oracle = session.oracle(f"{name}, {tested}", problem, sizes.grid)
             prefix = f"{name}/{tested}"
-            pairs = choose_instances(session.pool(problem), oracle, {"1": sizes.pairs}, session.rng(60), prefix)
+            pairs = session.chosen(prefix, problem, oracle, {"1": sizes.pairs}, 60)
             hashes[prefix] = instances_hash(pairs)
-            items += [
-                _item(name, trained, tested, energy, problem, pairs, oracle, session.seed)
-                for trained, energy in energies.items()
-            ]
+            depends = problem_key(problem), instances_hash(pairs), oracle.xi, session.seed, K_TOP
+            for trained, energy in energies.items():
+                key = content_hash(depends[0], energy.fingerprint(), *depends[1:])
+                columns: Row = {"object": name, "trained": trained, "tested": tested}
+                arguments = (replace(problem), energy, pairs, oracle, session.seed)
+                items.append(Item(f"{name}/{trained}/{tested}", key, measure_transfer, arguments, columns))
     results = session.execute("cross-effector", items)
     rows = results.rows + rows
     measured = [name for name in bodies if any(r["object"] == name and "sv" in r for r in rows)]
@@ -114,28 +116,7 @@ def constant_energy() -> EnergyModel:
 def _energies(session: Session, problems: dict[str, RegraspProblem], samples: int) -> dict[str, EnergyModel]:
     options = TrainingOptions(use_width=False, seed=session.seed)
     requests = [TrainingRequest(problem, options, samples, session.seed) for problem in problems.values()]
-    with progress_bar(session.quiet) as bar:
-        task = bar.add_task("training", total=len(requests))
-        energies = trained_energies(
-            requests, jobs=session.jobs, progress=lambda done, total: bar.update(task, completed=done, total=total)
-        )
-    return dict(zip(problems, energies, strict=True))
-
-
-def _item(
-    name: str,
-    trained: str,
-    tested: str,
-    energy: EnergyModel,
-    problem: RegraspProblem,
-    pairs: list[Instance],
-    oracle: Oracle,
-    seed: int,
-) -> Item:
-    depends = content_hash(problem_key(problem), energy.fingerprint(), instances_hash(pairs), oracle.xi, seed, K_TOP)
-    columns: Row = {"object": name, "trained": trained, "tested": tested}
-    arguments = (replace(problem), energy, pairs, oracle, seed)
-    return Item(f"{name}/{trained}/{tested}", depends, measure_transfer, arguments, columns)
+    return dict(zip(problems, session.trained(requests), strict=True))
 
 
 def measure_transfer(

@@ -11,16 +11,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from regrasp_opt.benchmarks.harness import tables
+from regrasp_opt.benchmarks.harness.experiment import pair_item, run_experiment
 from regrasp_opt.benchmarks.harness.instances import TIERS, Instance, choose_instances, instances_hash
 from regrasp_opt.benchmarks.harness.oracle import Resolution
 from regrasp_opt.benchmarks.harness.planners import plan_row
-from regrasp_opt.benchmarks.harness.report import Cell, Report, Table, mean, percent
+from regrasp_opt.benchmarks.harness.report import Report, Table
 from regrasp_opt.benchmarks.harness.runner import Item, Row
-from regrasp_opt.benchmarks.harness.session import Session, error_rows, usable
-from regrasp_opt.benchmarks.harness.subjects import planning_key
+from regrasp_opt.benchmarks.harness.session import Session
 from regrasp_opt.conventions import IntArray, translation
 from regrasp_opt.errors import RegraspError
-from regrasp_opt.files import content_hash
 from regrasp_opt.geometry.shapes import Box
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.scene import Workcell, WorkspaceBounds
@@ -34,7 +34,7 @@ TIME_LIMIT = 120.0
 
 
 @dataclass(frozen=True)
-class Sizes:
+class TierSizes:
     """How many instances: grasps in a subset, subsets of each size, pairs of a tier from one condition and in all.
 
     The other workcells have one subset of each size.
@@ -47,8 +47,8 @@ class Sizes:
     most: dict[str, int]
 
 
-QUICK = Sizes((12,), 2, False, dict.fromkeys(TIERS, 1), {"1": 1, "2": 2, "3+": 2, "unsolvable": 1})
-FULL = Sizes(
+QUICK = TierSizes((12,), 2, False, dict.fromkeys(TIERS, 1), {"1": 1, "2": 2, "3+": 2, "unsolvable": 1})
+FULL = TierSizes(
     (8, 12, 16, 20, 30),
     4,
     True,
@@ -89,7 +89,7 @@ class Condition:
         return replace(self.problem, grasps=self.problem.grasps.subset(self.ids))
 
 
-def conditions(session: Session, problem: RegraspProblem, sizes: Sizes) -> Iterator[Condition]:
+def conditions(session: Session, problem: RegraspProblem, sizes: TierSizes) -> Iterator[Condition]:
     """Yield the conditions for one object; a workcell for which no model can be prepared is left out."""
     problems = [("table", problem, session.grid)]
     if sizes.workcells:
@@ -133,64 +133,57 @@ def hard_instances(session: Session, name: str, problem: RegraspProblem) -> list
 
 def run_hard_tiers(session: Session) -> Report:
     """Measure success, N and time by tier."""
-    subjects = session.subjects()
-    items: list[Item] = []
-    hashes: dict[str, str] = {}
-    for name, problem in usable(subjects):
+
+    def work(name: str, problem: RegraspProblem) -> tuple[list[Item], str]:
         pairs = hard_instances(session, name, problem)
-        hashes[name] = instances_hash([instance for _, instance in pairs])
-        for condition, instance in pairs:
-            reduced = condition.reduced
-            depends = content_hash(planning_key(reduced), instances_hash([instance]), session.seed, TIME_LIMIT)
-            columns: Row = {"object": name, "pair": instance.name, "condition": condition.label}
-            arguments = (replace(reduced), instance, "ipopt from lattice", session.seed, TIME_LIMIT)
-            items.append(Item(instance.name, depends, plan_row, arguments, columns))
-    results = session.execute("hard-tiers", items)
-    rows = results.rows + error_rows(subjects)
-    return Report(
+        end = "ipopt from lattice", session.seed, TIME_LIMIT
+        items = [
+            pair_item(name, c.reduced, pair, plan_row, *end, depends=end[1:], condition=c.label) for c, pair in pairs
+        ]
+        return items, instances_hash([pair for _, pair in pairs])
+
+    return run_experiment(
+        session,
         "hard-tiers",
         "Hard tiers",
         TEXT,
-        (_table(rows), _failures(rows)),
-        rows,
-        (),
-        hashes,
-        results.revisions,
-        {"quick": session.quick, "seed": session.seed, "oracle": str(session.grid), "time limit [s]": TIME_LIMIT},
+        work,
+        lambda rows, names: (_table(rows), _failures(rows)),
+        settings={"oracle": str(session.grid), "time limit [s]": TIME_LIMIT},
     )
 
 
 def _table(rows: list[Row]) -> Table:
     measured = [row for row in rows if "solved" in row]
-    lines: list[tuple[Cell, ...]] = []
-    for name in dict.fromkeys(row["object"] for row in measured):
-        for tier in TIERS:
-            here = [row for row in measured if (row["object"], row["tier"]) == (name, tier)]
-            good = [row for row in here if row["solved"]]
-            known = [row for row in good if row["minimum"] is not None]
-            lines.append(
-                (
-                    name,
-                    tier,
-                    len(here),
-                    percent([row["solved"] for row in here]),
-                    percent([row["num_regrasps"] == row["minimum"] for row in known]),
-                    percent([row["num_regrasps"] < row["minimum"] for row in known]),
-                    mean([row["seconds"] for row in good]),
-                    mean([row["seconds"] for row in here if not row["solved"]]),
-                )
-            )
-    return Table(
+    names = dict.fromkeys(row["object"] for row in measured)
+    groups = {
+        (name, tier): [row for row in measured if (row["object"], row["tier"]) == (name, tier)]
+        for name in names
+        for tier in TIERS
+    }
+
+    def both(row: Row) -> bool:
+        return row["solved"] and row["minimum"] is not None
+
+    columns = {
+        "pairs": len,
+        "proved [%]": tables.share("solved"),
+        "N as oracle [%]": tables.share(lambda row: row["num_regrasps"] == row["minimum"], of=both),
+        "N below it [%]": tables.share(lambda row: row["num_regrasps"] < row["minimum"], of=both),
+        "solved [s]": tables.average("seconds", of="solved"),
+        "gave up [s]": tables.average("seconds", of=lambda row: not row["solved"]),
+    }
+    return tables.summary(
         "Success by the oracle's fewest regrasps",
-        ("object", "oracle N", "pairs", "proved [%]", "N as oracle [%]", "N below it [%]", "solved [s]", "gave up [s]"),
-        tuple(lines),
+        ("object", "oracle N"),
+        groups,
+        columns,
         "Plans of the tier 'unsolvable', and plans with fewer regrasps, are what the continuous planner finds between"
         " the poses of the grid. Shares of N are of the proved plans; times are means.",
     )
 
 
 def _failures(rows: list[Row]) -> Table:
-    bad = [row for row in rows if "solved" in row and row["minimum"] is not None and not row["solved"]]
-    lines = tuple((row["pair"], row["minimum"], row["status"], row["seconds"]) for row in bad)
-    note = "" if lines else "There are none."
-    return Table("Solvable instances without a plan", ("pair", "oracle N", "status", "seconds"), lines, note)
+    bad = [row for row in rows if row.get("minimum") is not None and not row["solved"]]
+    columns = {"pair": "pair", "oracle N": "minimum", "status": "status", "seconds": "seconds"}
+    return tables.listing("Solvable instances without a plan", bad, columns)

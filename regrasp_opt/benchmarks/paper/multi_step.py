@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import replace
 
-import plotly.graph_objects as go
-
-from regrasp_opt.benchmarks.harness.instances import Instance, choose_instances, instances_hash
+from regrasp_opt.benchmarks.harness import tables
+from regrasp_opt.benchmarks.harness.experiment import run_experiment
+from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
 from regrasp_opt.benchmarks.harness.planners import plan_row
-from regrasp_opt.benchmarks.harness.report import Cell, Figure, Report, Table, mean, percent
+from regrasp_opt.benchmarks.harness.report import Cell, Figure, Report, Table
 from regrasp_opt.benchmarks.harness.runner import Item, Row
-from regrasp_opt.benchmarks.harness.session import Session, error_rows, usable
+from regrasp_opt.benchmarks.harness.session import Session
 from regrasp_opt.benchmarks.harness.subjects import planning_key
 from regrasp_opt.benchmarks.paper.published import MULTI_STEP, PAPER_OBJECT
 from regrasp_opt.files import content_hash
@@ -41,82 +42,68 @@ def threshold_recipe(k_top: int) -> Recipe:
 
 def run_multi_step(session: Session) -> Report:
     """Measure S.T., S.H., length, time, and N against the oracle's."""
-    subjects = session.subjects()
-    items: list[Item] = []
-    hashes: dict[str, str] = {}
-    for name, problem in usable(subjects):
+
+    def work(name: str, problem: RegraspProblem) -> tuple[list[Item], str]:
         oracle = session.oracle(name, problem)
-        chosen = choose_instances(session.pool(problem), oracle, {"any": PAIRS[session.quick]}, session.rng(20), name)
-        hashes[name] = instances_hash(chosen)
-        for number, instance in enumerate(chosen):
-            items += _items(name, problem, instance, session, compare=number < COMPARED[session.quick])
-    results = session.execute("multi-step", items)
-    rows = results.rows + error_rows(subjects)
-    names = [name for name, _ in usable(subjects)]
-    return Report(
+        chosen = session.chosen(name, problem, oracle, {"any": PAIRS[session.quick]}, 20)
+        compared = chosen[: COMPARED[session.quick]]
+        items = [item for pair in chosen for item in _items(name, problem, pair, session.seed, pair in compared)]
+        return items, instances_hash(chosen)
+
+    return run_experiment(
+        session,
         "multi-step",
         "Multi-step search",
         TEXT,
-        (_table(rows, names), _oracle_table(rows, names), _failures(rows)),
-        rows,
-        (Figure("Time to the first proved plan", _figure(rows, names)),),
-        hashes,
-        results.revisions,
-        {"quick": session.quick, "seed": session.seed, "oracle": str(session.grid), "time limit [s]": TIME_LIMIT},
+        work,
+        lambda rows, names: (_table(rows, names), _oracle_table(rows, names), _failures(rows)),
+        figures=_figures,
+        settings={"oracle": str(session.grid), "time limit [s]": TIME_LIMIT},
     )
 
 
-def _items(name: str, problem: RegraspProblem, instance: Instance, session: Session, compare: bool) -> list[Item]:
-    bare = replace(problem)
+def _items(name: str, problem: RegraspProblem, instance: Instance, seed: int, compare: bool) -> list[Item]:
     paper = replace(problem, preset="paper")
-    depends = content_hash(planning_key(problem), instances_hash([instance]), session.seed, TIME_LIMIT)
-    work: list[tuple[str, int | None, RegraspProblem, Recipe]] = [("ours", None, bare, RECIPES["ipopt"]())]
-    work += [("ours, threshold", k, bare, threshold_recipe(k)) for k in K_TOP]
+    work: list[tuple[str, int | None, RegraspProblem, Recipe]] = [("ours", None, problem, RECIPES["ipopt"]())]
+    work += [("ours, threshold", k, problem, threshold_recipe(k)) for k in K_TOP]
     if compare:
         work += [("paper's method", k, paper, paper_recipe(k)) for k in K_TOP]
+    depends = content_hash(planning_key(problem), instances_hash([instance]), seed, TIME_LIMIT)
     return [
         Item(
             f"{instance.name}/{planner}/{k_top}",
             depends,
             plan_row,
-            (used, instance, recipe, session.seed, TIME_LIMIT),
+            (replace(used), instance, recipe, seed, TIME_LIMIT),
             {"object": name, "pair": instance.name, "planner": planner, "k_top": k_top},
         )
         for planner, k_top, used, recipe in work
     ]
 
 
-def _select(rows: list[Row], name: str, planner: str, k_top: int | None) -> list[Row]:
-    wanted = (name, planner, k_top)
-    return [r for r in rows if "solved" in r and (r["object"], r["planner"], r["k_top"]) == wanted]
+def _ours(rows: list[Row], names: list[str]) -> dict[Hashable, list[Row]]:
+    return tables.by_object([row for row in rows if row.get("planner") == "ours" and "solved" in row], names)
 
 
 def _table(rows: list[Row], names: list[str]) -> Table:
+    measured = tables.grouped([row for row in rows if "solved" in row], "object", "planner", "k_top")
+    columns = {
+        "pairs": len,
+        "S.T. [%]": tables.share("threshold_passed"),
+        "S.H. [%]": tables.share("solved"),
+        "E.L.": tables.average("num_regrasps", of="solved"),
+        "E.T. [s]": tables.average("seconds", of="solved"),
+    }
     lines: list[tuple[Cell, ...]] = []
     for name in names:
-        for planner, k_top in METHODS:
-            here = _select(rows, name, planner, k_top)
-            if not here:
-                continue
-            good = [r for r in here if r["solved"]]
-            lines.append(
-                (
-                    name,
-                    planner,
-                    k_top,
-                    len(here),
-                    percent([r["threshold_passed"] for r in here]),
-                    percent([r["solved"] for r in here]),
-                    mean([r["num_regrasps"] for r in good]),
-                    mean([r["seconds"] for r in good]),
-                )
-            )
+        groups = {key: here for method in METHODS if (here := measured.get(key := (name, *method)))}
+        lines += tables.summary("", (), groups, columns).rows
         printed = MULTI_STEP.get(PAPER_OBJECT.get(name, ""), {})
         source = f"as printed in the paper, {PAPER_OBJECT.get(name)}"
-        lines += [(name, source, k, 50, *values) for k, values in printed.items()]
+        lines += [(name, source, k, 50, *figures) for k, figures in printed.items()]
     return Table(
         "Threshold and hard success",
-        ("object", "planner", "K_top", "pairs", "S.T. [%]", "S.H. [%]", "E.L.", "E.T. [s]"),
+        ("object", "planner", "K_top", *columns),
         tuple(lines),
         "Ours proves candidates until one holds; its S.T. is the share of pairs whose proved plan passes the threshold "
         "too, with exact energies at both ends. Its time leaves out lattice and solvers, made once a problem. "
@@ -128,34 +115,25 @@ def _table(rows: list[Row], names: list[str]) -> Table:
 
 
 def _oracle_table(rows: list[Row], names: list[str]) -> Table:
-    lines: list[tuple[Cell, ...]] = []
-    for name in names:
-        here = _select(rows, name, "ours", None)
-        solvable = [r for r in here if r["minimum"] is not None]
-        good = [r for r in solvable if r["solved"]]
-        lines.append(
-            (
-                name,
-                len(here),
-                percent([r["minimum"] is not None for r in here]),
-                percent([r["solved"] for r in solvable]),
-                percent([r["num_regrasps"] == r["minimum"] for r in good]),
-                percent([r["num_regrasps"] <= r["minimum"] for r in good]),
-                sum(r["solved"] for r in here if r["minimum"] is None),
-            )
-        )
-    return Table(
+    def solvable(row: Row) -> bool:
+        return row["minimum"] is not None
+
+    def both(row: Row) -> bool:
+        return row["minimum"] is not None and row["solved"]
+
+    columns = {
+        "pairs": len,
+        "oracle solves [%]": tables.share(solvable),
+        "S.H. of these [%]": tables.share("solved", of=solvable),
+        "N as the oracle [%]": tables.share(lambda row: row["num_regrasps"] == row["minimum"], of=both),
+        "N no more [%]": tables.share(lambda row: row["num_regrasps"] <= row["minimum"], of=both),
+        "beyond it": tables.count(lambda row: row["minimum"] is None and row["solved"]),
+    }
+    return tables.summary(
         "Against the exact oracle",
-        (
-            "object",
-            "pairs",
-            "oracle solves [%]",
-            "S.H. of these [%]",
-            "N as the oracle [%]",
-            "N no more [%]",
-            "beyond it",
-        ),
-        tuple(lines),
+        ("object",),
+        _ours(rows, names),
+        columns,
         "N as the oracle, and N no more: shares of the proved plans. Beyond it: pairs proved where the grid has no "
         "plan.",
     )
@@ -163,30 +141,16 @@ def _oracle_table(rows: list[Row], names: list[str]) -> Table:
 
 def _failures(rows: list[Row]) -> Table:
     bad = [
-        r
-        for r in rows
-        if r.get("planner") == "ours"
-        and "solved" in r
-        and r["minimum"] is not None
-        and (not r["solved"] or r["num_regrasps"] > r["minimum"])
+        row
+        for row in rows
+        if row.get("planner") == "ours"
+        and row.get("minimum") is not None
+        and (not row["solved"] or row["num_regrasps"] > row["minimum"])
     ]
-    lines = [(r["pair"], r["minimum"], r["status"], r["num_regrasps"], r["seconds"]) for r in bad]
-    return Table(
-        "Pairs where ours falls short of the oracle",
-        ("pair", "oracle N", "status", "our N", "seconds"),
-        tuple(lines),
-        "" if lines else "There are none.",
-    )
+    columns = {"pair": "pair", "oracle N": "minimum", "status": "status", "our N": "num_regrasps", "seconds": "seconds"}
+    return tables.listing("Pairs where ours falls short of the oracle", bad, columns)
 
 
-def _figure(rows: list[Row], names: list[str]) -> go.Figure:
-    figure = go.Figure()
-    for name in names:
-        here = _select(rows, name, "ours", None)
-        times = sorted(r["first_proof"] for r in here if r["solved"])
-        share = [100 * (i + 1) / len(here) for i in range(len(times))]
-        figure.add_trace(go.Scatter(x=times, y=share, mode="lines", line={"shape": "hv"}, name=name))
-    figure.update_xaxes(type="log", title_text="seconds")
-    figure.update_yaxes(title_text="pairs proved [%]", range=[0, 101])
-    figure.update_layout(height=380, margin={"l": 60, "r": 10, "t": 10, "b": 50})
-    return figure
+def _figures(rows: list[Row], names: list[str]) -> list[Figure]:
+    curves = tables.time_curves(_ours(rows, names), "first_proof", "solved", "pairs proved [%]")
+    return [Figure("Time to the first proved plan", curves)]

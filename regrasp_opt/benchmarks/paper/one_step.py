@@ -9,20 +9,21 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from statistics import median
 from typing import Literal
 
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from regrasp_opt.benchmarks.harness import tables
+from regrasp_opt.benchmarks.harness.experiment import pair_item, run_experiment
 from regrasp_opt.benchmarks.harness.generation import GENERATORS, OneStepTask, distinct, generate, verdicts
-from regrasp_opt.benchmarks.harness.instances import Instance, choose_instances, instances_hash
+from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
 from regrasp_opt.benchmarks.harness.oracle import Oracle
 from regrasp_opt.benchmarks.harness.report import Figure, Report, Table, percent
 from regrasp_opt.benchmarks.harness.runner import Item, Row
-from regrasp_opt.benchmarks.harness.session import Session, error_rows, usable
-from regrasp_opt.benchmarks.harness.subjects import planning_key, problem_key, resident
+from regrasp_opt.benchmarks.harness.session import Session
+from regrasp_opt.benchmarks.harness.subjects import problem_key, resident
 from regrasp_opt.benchmarks.paper.published import ONE_STEP, PAPER_OBJECT
 from regrasp_opt.connectivity import CostOptions
 from regrasp_opt.connectivity.costs import CostVariant
@@ -68,45 +69,36 @@ def run_unseen(session: Session) -> Report:
 
 
 def _run(session: Session, *, unseen: bool) -> Report:
-    subjects = session.subjects()
-    items: list[Item] = []
-    hashes: dict[str, str] = {}
     truth: dict[str, Oracle] = {}
-    for name, problem in usable(subjects):
+    methods = UNSEEN_METHODS if unseen else tuple(METHODS)
+
+    def work(name: str, problem: RegraspProblem) -> tuple[list[Item], str]:
         oracle = session.oracle(name, problem)
-        rng = session.rng(10)
-        chosen = choose_instances(session.pool(problem), oracle, {"1": PAIRS[session.quick]}, rng, name)
+        chosen = session.chosen(name, problem, oracle, {"1": PAIRS[session.quick]}, 10)
         if unseen:
             problem = _with_unseen_grasps(problem)
             oracle = session.oracle(f"{name}, unseen grasps", problem, session.coarse_grid)
-        truth[name], hashes[name] = oracle, instances_hash(chosen)
-        methods = UNSEEN_METHODS if unseen else tuple(METHODS)
-        for instance in chosen:
-            items += _items(name, problem, instance, oracle, session.seed, methods, instance is chosen[0])
-    experiment = "unseen" if unseen else "one-step"
-    results = session.execute(experiment, items)
-    rows = results.rows + error_rows(subjects)
-    return Report(
-        experiment,
+        truth[name] = oracle
+        items: list[Item] = []
+        for pair in chosen:
+            items += _items(name, problem, pair, oracle, session.seed, methods, pair is chosen[0])
+        return items, instances_hash(chosen)
+
+    return run_experiment(
+        session,
+        "unseen" if unseen else "one-step",
         "One intermediate pose, unseen grasps" if unseen else "One intermediate pose",
         TEXT,
-        (_table(rows, unseen), _truth_table(truth, rows)),
-        rows,
-        tuple(Figure(f"Intermediate poses for one pair: {name}", _figure(name, rows)) for name in truth),
-        hashes,
-        results.revisions,
-        {"quick": session.quick, "seed": session.seed, "starts per placement": PER_PLACEMENT},
+        work,
+        lambda rows, names: (_table(rows, unseen), _truth_table(truth, rows)),
+        figures=lambda rows, names: [Figure(f"Intermediate poses for one pair: {n}", _figure(n, rows)) for n in names],
+        settings={"starts per placement": PER_PLACEMENT},
     )
 
 
 def _with_unseen_grasps(problem: RegraspProblem) -> RegraspProblem:
-    unseen = sample_grasps(
-        problem.object,
-        problem.workcell.arm.end_effector,
-        len(problem.grasps),
-        seed=UNSEEN_SEED,
-        exclude=problem.grasps,
-    )
+    effector, count = problem.workcell.arm.end_effector, len(problem.grasps)
+    unseen = sample_grasps(problem.object, effector, count, seed=UNSEEN_SEED, exclude=problem.grasps)
     return RegraspProblem.load(problem.object, problem.workcell, grasps=unseen, model=problem.model_folder)
 
 
@@ -130,9 +122,19 @@ def _items(
     items = [Item(f"{instance.name}/grid", key, _as_they_are, (grid_rows,), {**columns, "method": "grid"})]
     for method in methods:
         tested = replace(problem, preset=METHODS[method][0])
-        key = content_hash(planning_key(tested), instances_hash([instance]), seed, PER_PLACEMENT, pictured)
-        arguments = (replace(tested), instance, method, seed, PER_PLACEMENT, pictured)
-        items.append(Item(f"{instance.name}/{method}", key, measure_pair, arguments, {**columns, "method": method}))
+        arguments = method, seed, PER_PLACEMENT, pictured
+        items.append(
+            pair_item(
+                name,
+                tested,
+                instance,
+                measure_pair,
+                *arguments,
+                label=f"/{method}",
+                depends=arguments[1:],
+                method=method,
+            )
+        )
     return items
 
 
@@ -167,16 +169,9 @@ def measure_pair(
     seconds = round(time.perf_counter() - began, 3)
     placements, xi = found.placements[: max(K_TOP), 0], found.xi[: max(K_TOP), 0]
     valid = verdicts(problem.checker, task.poses(placements, xi), task.feasible)
-    direct = bool(task.feasible.all(axis=0).any())
+    once = {"direct": bool(task.feasible.all(axis=0).any()), "seconds": seconds}
     rows: list[Row] = [
-        {
-            "k_top": k,
-            "sv": float(valid[:k].mean()),
-            "distinct": distinct(placements[:k], xi[:k]),
-            "direct": direct,
-            "seconds": seconds,
-        }
-        for k in K_TOP
+        {"k_top": k, "sv": float(valid[:k].mean()), "distinct": distinct(placements[:k], xi[:k]), **once} for k in K_TOP
     ]
     return rows + (_pose_rows(placements, xi, valid) if pictured else [])
 
@@ -215,41 +210,27 @@ def _table(rows: list[Row], unseen: bool) -> Table:
 
 
 def _truth_table(truth: dict[str, Oracle], rows: list[Row]) -> Table:
-    lines = []
-    for name, oracle in truth.items():
-        here = [row for row in rows if row.get("object") == name]
-        shares = [row["share"] for row in here if "share" in row]
-        times = [
-            [row["seconds"] for row in here if row.get("method") == method and "seconds" in row]
-            for method in ("ours J", "Langevin J")
-        ]
-        lines.append(
-            (
-                name,
-                *oracle.feasible.shape,
-                len(shares),
-                sum(share > 0 for share in shares),
-                percent(shares),
-                percent(sorted(shares)[:1]),
-                round(oracle.seconds, 1),
-                *(round(median(t), 2) if t else None for t in times),
-            )
-        )
-    return Table(
+    def least(here: list[Row]) -> float | None:
+        return percent(sorted(tables.values(here, "share"))[:1])
+
+    groups = {
+        (name, *oracle.feasible.shape): [{"grid": oracle.seconds}, *here]
+        for (name, oracle), here in zip(truth.items(), tables.by_object(rows, truth).values(), strict=True)
+    }
+    columns: dict[str, tables.Column] = {
+        "pairs": tables.count(lambda row: "share" in row),
+        "solvable": tables.count(lambda row: row.get("share", 0) > 0),
+        "valid poses [%]": tables.share("share"),
+        "least valid [%]": least,
+        "grid [CPU s]": tables.average("grid", 1),
+    }
+    for method in ("ours J", "Langevin J"):
+        columns[f"{method[:-2]} [s]"] = tables.middle("seconds", 2, of=lambda row, m=method: row.get("method") == m)
+    return tables.summary(
         "Exhaustive grid search",
-        (
-            "object",
-            "poses",
-            "grasps",
-            "pairs",
-            "solvable",
-            "valid poses [%]",
-            "least valid [%]",
-            "grid [CPU s]",
-            "ours [s]",
-            "Langevin [s]",
-        ),
-        tuple(lines),
+        ("object", "poses", "grasps"),
+        groups,
+        columns,
         "Grid poses that are valid intermediate poses, mean and least over the pairs; processor time of the grid, "
         "which is computed once and kept; median time to generate all poses of one pair.",
     )

@@ -110,7 +110,7 @@ class MeasureBounds:
             excess = sign * (value - bound)
             if excess > ROUNDING:
                 limit = f"at {'most' if sign > 0 else 'least'} {bound:.4g}{unit}"
-                return f"the {name} is {value:.4g}{unit}, {excess:.2g}{unit} off the bound of {limit}"
+                return f"the {name} is {value:.4g}{unit}, which misses the bound of {limit} by {excess:.2g}{unit}"
         return ""
 
 

@@ -144,9 +144,7 @@ def _verified(plan: RegraspPlan, search: JointSearch, best: Candidate) -> tuple[
     transitions = [_led_by(t, search, best, i) for i, t in enumerate(transitions)]
     refined = replace(plan, poses=poses, xi=wrap_yaw(best.xi), transitions=tuple(transitions), cost=best.measures.cost)
     problems = refined.residuals().problems
-    return (
-        (None, f"the refined plan is refused by the final verification: {problems[0]}") if problems else (refined, "")
-    )
+    return (None, f"the refined plan fails the final verification: {problems[0]}") if problems else (refined, "")
 
 
 def _led_by(transition: Transition, search: JointSearch, best: Candidate, i: int) -> Transition:

@@ -120,7 +120,7 @@ def load_motion(path: str | os.PathLike[str], kind: type[Motion]) -> Motion:
 def _parse(raw: Any, path: Path) -> _File:
     version = raw.get("schema") if isinstance(raw, dict) else None
     if version != SCHEMA or raw.get("kind") != "motion":
-        raise PlanFileError(f"'{path}' is no motion of schema {SCHEMA}; write one with 'regrasp-opt motion'")
+        raise PlanFileError(f"'{path}' is not a motion of schema {SCHEMA}; write one with 'regrasp-opt motion'")
     content = validated(_File, raw, path, "plan the motion again")
     if content.status not in _STATUSES:
         raise PlanFileError(f"'{path}': unknown status '{content.status}'; known: {', '.join(_STATUSES)}")
@@ -156,7 +156,7 @@ def save_motion_csv(motion: MotionData, path: str | os.PathLike[str], step: floa
     Raises
     ------
     OptionError
-        If `step` is no positive number of seconds, or gives more than `MOST_ROWS` rows.
+        If `step` is not a positive number of seconds, or gives more than `MOST_ROWS` rows.
     PlanFileError
         If the motion is not solved.
     """
@@ -179,7 +179,7 @@ def save_motion_csv(motion: MotionData, path: str | os.PathLike[str], step: floa
 
 
 def check_step(step: float) -> None:
-    """Raise an `OptionError` if `step` is no time between the rows of a CSV."""
+    """Raise an `OptionError` if `step` cannot be the time between rows of a CSV."""
     if not 0 < step < np.inf:
         raise OptionError(f"step is {step}; give a positive number of seconds")
 

@@ -66,7 +66,7 @@ class MotionOptions:
 
     def __post_init__(self) -> None:
         if not LEAST_VELOCITY <= self.velocity <= 1:
-            raise OptionError(f"velocity is {self.velocity}; give a share from {LEAST_VELOCITY} to 1")
+            raise OptionError(f"velocity is {self.velocity}; give a fraction from {LEAST_VELOCITY} to 1")
         if not self.distances or not all(0.005 <= d <= 1 for d in self.distances):
             raise OptionError(f"distances are {self.distances}; give lengths from 0.005 to 1 m")
         for name in ("candidates", "iterations"):
@@ -94,8 +94,8 @@ class MotionOptions:
         slow = np.flatnonzero(~(velocity >= LEAST_SPEED))
         if len(slow):
             raise OptionError(
-                f"joint '{robot.joint_names[slow[0]]}' may move at {velocity[slow[0]]:g} rad/s or m/s only; give it a "
-                "velocity limit in the URDF, or a larger share"
+                f"joint '{robot.joint_names[slow[0]]}' may move at only {velocity[slow[0]]:g} rad/s or m/s; give it "
+                "a velocity limit in the URDF, or a larger fraction"
             )
         return velocity, np.array(acceleration)
 
@@ -105,7 +105,7 @@ class MotionOptions:
         Raises
         ------
         OptionError
-            If it is no configuration within the limits of `robot`.
+            If it is not a configuration within the limits of `robot`.
         """
         if self.home is None:
             return None

@@ -125,10 +125,10 @@ class _Transition:
             if found:
                 return found
             blocked.update(way.blocked for way in ways if way.blocked is not None)
-        causes = ", ".join(f"{count} at {phase.name.lower()}" for phase, count in blocked.most_common())
+        causes = ", ".join(f"{count} fail while {phase.doing}" for phase, count in blocked.most_common())
         return (
-            f"no shared grasp of transition {self._index} admits a motion; of {blocked.total()} ways to hold the "
-            f"object fail {causes}"
+            f"no shared grasp of transition {self._index} allows a motion; of {blocked.total()} ways to hold the "
+            f"object, {causes}"
         )
 
     def _first(self, ways: list[PickPlaceMotion], *, tilted: bool) -> list[Segment] | None:

@@ -31,7 +31,7 @@ def plan_with_motion(
     Returns
     -------
     MotionPlan
-        If no plan that was found admits a motion, the first of them with what is in its way; if none was found at all,
+        If no plan that was found allows a motion, the first of them with what is in its way; if none was found at all,
         its status is NO_PLAN. ``.plan`` is the regrasp plan either way.
 
     Raises
@@ -55,6 +55,6 @@ def plan_with_motion(
     reason = (
         first.reason
         if len(tried) == 1
-        else f"of {len(tried)} plans none admits a motion; for the first, {first.reason}"
+        else f"none of {len(tried)} plans allows a motion; for the first, {first.reason}"
     )
     return replace(first, reason=reason, seconds=seconds)
