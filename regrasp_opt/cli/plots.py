@@ -54,7 +54,7 @@ def write_bench_plots(report: Report, folder: Path) -> list[Path]:
         times: dict[str, list[float | None]] = {}
         for row in measured:
             if report.name == COMPARED or row["planner"] == "ours":
-                times.setdefault(row[key], []).append(row["first_proof"] if row["solved"] else None)
+                times.setdefault(row[key], []).append(row["first_verified"] if row["solved"] else None)
         if not any(row["solved"] for row in measured):
             return []
         return _write([("anytime", plot_anytime(times, f"{report.title}: pairs verified over time", limit))], folder)

@@ -100,7 +100,7 @@ def test_hard_tiers_and_refiners_share_their_instances(session, monkeypatch):
 def test_the_conclusion_names_the_fastest_of_the_most_successful():
     def row(planner, pair, seconds, solved=True, regrasps=1):
         effort = {"cost": -seconds, "evaluations": 30, "solves": 2, "before": 100.0}
-        found = {"solved": solved, "num_regrasps": regrasps, "first_proof": seconds}
+        found = {"solved": solved, "num_regrasps": regrasps, "first_verified": seconds}
         return {"planner": planner, "pair": pair, "minimum": 1, **effort, **found}
 
     seconds = {name: 2.0 for name in (refiners.GRAPH, *refiners.PLANNERS)} | {"lattice": 0.5, "Langevin": 0.1}
@@ -113,7 +113,7 @@ def test_the_conclusion_names_the_fastest_of_the_most_successful():
         assert "1500 ms over the lattice" in second and "takes 15 evaluations" in second
         assert "adds no success" in second
     fewer = [r | {"solved": r["pair"] == "a"} if r["planner"] == "lattice" else r for r in rows]
-    assert "proves 50.0 % more pairs than the lattice alone" in refiners._conclusion(fewer)
+    assert "solves 50.0 % more pairs than the lattice alone" in refiners._conclusion(fewer)
     assert refiners._conclusion([r for r in rows if r["planner"] != "lattice"]) == ""
 
 
@@ -193,7 +193,7 @@ def test_plots_are_refused_before_anything_is_measured(tmp_path, monkeypatch):
 
 def test_nothing_is_plotted_where_no_pair_was_solved(tmp_path):
     pytest.importorskip("matplotlib", reason="matplotlib is not installed")
-    rows = [{"object": "bottle", "planner": "ours", "solved": False, "first_proof": None}]
+    rows = [{"object": "bottle", "planner": "ours", "solved": False, "first_verified": None}]
     report = Report("multi-step", "Multi-step search", "", (), rows, instances={}, revisions=(), settings={})
     assert write_bench_plots(report, tmp_path) == []
 
@@ -275,7 +275,7 @@ def test_joint_problem_and_free_grasps(session, monkeypatch):
     assert refined["clearance"]["after"] >= refined["clearance"]["before"]
     thinned = [row for row in rows if row["measure"] == "free grasps"]
     assert len(thinned) == 2 and any(row["counts"] for row in thinned)
-    assert all(row["proved"] == (row["status"] == "solved") for row in thinned if row["counts"])
+    assert all(row["verified"] == (row["status"] == "solved") for row in thinned if row["counts"])
     share = next(row for row in report.tables[-1].rows if row[0] == "all")[3]
     counted = [row["status"] == "solved" for row in thinned if row["counts"]]
     assert share == pytest.approx(100 * sum(counted) / len(counted))

@@ -91,7 +91,7 @@ def test_the_graph_and_the_planner_say_that_there_is_no_plan(bottle_problem, apa
     [row] = graph_row(apart, pair, bottle_problem, ids, Resolution(0.2, 2))
     assert (row["status"], row["solved"], row["num_regrasps"]) == ("not_found", False, None) and "bottleneck" not in row
     [row] = plan_row(apart, pair, "lattice", 0, 20.0, warm=False)
-    assert (row["status"], row["solved"], row["first_proof"]) == ("not_found", False, None)
+    assert (row["status"], row["solved"], row["first_verified"]) == ("not_found", False, None)
 
 
 def test_pairs_whose_ends_no_grasp_reaches_are_skipped_with_the_reason(useless, pair, monkeypatch):

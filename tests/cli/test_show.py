@@ -90,7 +90,7 @@ def report(name, rows):
 def test_curves_over_time_are_drawn_of_our_planner_or_of_all_that_are_compared(tmp_path):
     pytest.importorskip("matplotlib", reason="matplotlib is not installed")
     rows = [
-        {"object": "mug", "planner": planner, "solved": solved, "first_proof": 0.5 if solved else None}
+        {"object": "mug", "planner": planner, "solved": solved, "first_verified": 0.5 if solved else None}
         for planner, solved in (("ours", True), ("ours", False), ("paper's method", False))
     ]
     for name in ("multi-step", "refiners"):

@@ -87,7 +87,7 @@ def refined_rows(problem: RegraspProblem, pair: Instance, seed: int) -> list[Row
                 "discrete": discrete,
                 "after": after,
                 "seconds": time.perf_counter() - begun,
-                "proved": result.plan.residuals().hold,
+                "verified": result.plan.residuals().hold,
                 "reason": result.reason,
             }
         )
@@ -113,7 +113,7 @@ def thinned_rows(problem: RegraspProblem, pair: Instance, ids: IntArray, seed: i
             "status": plan.status.name.lower(),
             "num_regrasps": plan.num_regrasps,
             "seconds": time.perf_counter() - begun,
-            "proved": plan.solved and plan.residuals().hold,
+            "verified": plan.solved and plan.residuals().hold,
             "moved grasps": len(plan.problem.grasps) - len(ids),
         }
     ]
@@ -136,7 +136,7 @@ def _measure_table(rows: Sequence[Row], names: Sequence[str], measure: Measure) 
         "by the choice [%]": gain("before", "discrete"),
         "by the program [%]": gain("discrete", "after"),
         "in all [%]": gain("before", "after"),
-        "proved [%]": tables.share("proved"),
+        "verified [%]": tables.share("verified"),
         "seconds": tables.average("seconds"),
     }
     return tables.summary(
@@ -159,7 +159,7 @@ def _thinned_table(rows: Sequence[Row], names: Sequence[str]) -> Table:
         "drawn": len,
         "unsolvable": tables.count("counts"),
         "solved [%]": tables.share(solved, of="counts"),
-        "proved [%]": tables.share("proved", of=solved),
+        "verified [%]": tables.share("verified", of=solved),
         "moved grasps": tables.average("moved grasps", of=solved),
         "solved [s]": tables.average("seconds", of=solved),
         "gave up [s]": tables.average("seconds", of=lambda row: row["counts"] and not solved(row)),
@@ -169,6 +169,6 @@ def _thinned_table(rows: Sequence[Row], names: Sequence[str]) -> Table:
         ("object",),
         tables.by_object(measured, names, "all"),
         columns,
-        "Unsolvable: no plan with the thinned set, but one with the whole set. 'Proved' are those of the solved plans"
-        " that the independent check confirms.",
+        "Unsolvable: no plan with the thinned set, but one with the whole set. Verified: of the solved plans, those"
+        " that their certificate confirms.",
     )

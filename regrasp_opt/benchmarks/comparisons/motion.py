@@ -19,7 +19,7 @@ from regrasp_opt.planning import RegraspProblem, solve_sequence
 from regrasp_opt.planning.recipes import RECIPES
 
 TEXT = (
-    "Random start-goal pairs that need a regrasp. The first plan that is proved has its motion planned, from the "
+    "Random start-goal pairs that need a regrasp. The first verified plan has its motion planned, from the "
     "robot's home and back; where there is none, the search goes on with the next candidate. The motions are kept "
     "beside the rows, in the folder motions; from the repository, python -m tests.oracles verifies such files."
 )

@@ -22,7 +22,7 @@ from regrasp_opt.planning.model_store import read_report
 
 TEXT = (
     "Every planner on the same start-goal pairs: pairs with all grasps that need a regrasp, and pairs of the hard "
-    "tiers that the oracle solves. All plans are proved by the same exact checker; the time ends with the proof. The "
+    "tiers that the oracle solves. All plans are verified by the same exact checker; the time ends with that. The "
     "regrasp graph is the discrete baseline: exact feasibility on the grid, then a shortest path."
 )
 GRAPH = "regrasp graph"
@@ -97,27 +97,27 @@ def _success_table(rows: list[Row]) -> Table:
         return row["minimum"] is not None
 
     def late(here: list[Row]) -> float | None:
-        times = sorted(tables.values(here, "first_proof", of="solved"))
+        times = sorted(tables.values(here, "first_verified", of="solved"))
         return round(times[int(0.9 * (len(times) - 1))], 3) if times else None
 
-    columns: dict[str, tables.Column] = {"pairs": len, "proved [%]": tables.share("solved", of=solvable)}
+    columns: dict[str, tables.Column] = {"pairs": len, "solved [%]": tables.share("solved", of=solvable)}
     for tier, label in (("1", "N=1"), ("2", "N=2"), ("3+", "N>=3")):
         columns[label] = tables.share("solved", of=lambda row, tier=tier: row["tier"] == tier)
     columns |= {
         "N no more than oracle [%]": tables.share(
             lambda row: row["num_regrasps"] <= row["minimum"], of=lambda row: solvable(row) and row["solved"]
         ),
-        "median [s]": tables.middle("first_proof", of="solved"),
+        "median [s]": tables.middle("first_verified", of="solved"),
         "90 % [s]": late,
         "mean, all [s]": tables.average("seconds", 3),
         "before [s]": tables.average("before", 1),
     }
     return tables.summary(
-        "Success and time to the first proved plan",
+        "Success and time to the first verified plan",
         ("planner",),
         _by_planner(rows),
         columns,
-        "Proved: of the pairs that the oracle solves. Mean, all: time spent on every pair, solved or not. Before: "
+        "Solved: of the pairs that the oracle solves. Mean, all: time spent on every pair, solved or not. Before: "
         "what is made once for an object, workcell and grasp set: the exact grid (processor time), or grasps, labels "
         "and trained energies (by the clock).",
     )
@@ -163,30 +163,31 @@ def _conclusion(rows: list[Row]) -> str:
     solved = {name: [r for r in here if r["solved"]] for name, here in groups.items()}
     if not all(solved.get(name) for name in (*FROM_LATTICE, GRAPH, LANGEVIN)):
         return ""
-    proved = {name: 100 * len(good) / len(groups[name]) for name, good in solved.items() if good}
-    extra = {name: sum(r["num_regrasps"] - r["minimum"] for r in solved[name]) for name in proved}
-    time = {name: median(r["first_proof"] for r in solved[name]) for name in proved}
-    winner = min(proved, key=lambda name: (-proved[name], extra[name], time[name]))
+    shares = {name: 100 * len(good) / len(groups[name]) for name, good in solved.items() if good}
+    extra = {name: sum(r["num_regrasps"] - r["minimum"] for r in solved[name]) for name in shares}
+    time = {name: median(r["first_verified"] for r in solved[name]) for name in shares}
+    winner = min(shares, key=lambda name: (-shares[name], extra[name], time[name]))
     first = (
-        f"'{winner}' wins on success and time: it proves {proved[winner]:.1f} % of the pairs that the oracle solves, "
-        f"no planner does so with fewer regrasps, and half of its first proofs come within {time[winner]:.3f} s. The "
-        f"regrasp graph proves {proved[GRAPH]:.1f} % with a median of {time[GRAPH]:.3f} s, once its exact grid is "
+        f"'{winner}' wins on success and time: it solves {shares[winner]:.1f} % of the pairs that the oracle solves, "
+        "no planner does so with fewer regrasps, and half of its first verified plans come within "
+        f"{time[winner]:.3f} s. The regrasp graph solves "
+        f"{shares[GRAPH]:.1f} % with a median of {time[GRAPH]:.3f} s, once its exact grid is "
         f"there, which takes {mean([r['before'] for r in groups[GRAPH]], 0):.0f} s of processor time; Langevin from "
-        f"random poses, as in the paper but with exact proofs, {proved[LANGEVIN]:.1f} % with {time[LANGEVIN]:.3f} s."
+        f"random poses, as in the paper but with exact checks, {shares[LANGEVIN]:.1f} % with {time[LANGEVIN]:.3f} s."
     )
     if winner in FROM_LATTICE:
         first += (
             " The reason is the ranking, not the descent: the energies of all lattice poses are there before start and "
             "goal are known, so all chains of one pose are scored by two products of a matrix and a vector, and what "
             "comes out on top nearly always holds. Where a number of regrasps cannot work the same scores say so, and "
-            "nothing is refined or proved in vain."
+            "nothing is refined or verified in vain."
         )
     default, *_ = FROM_LATTICE
     both = {r["pair"]: r["cost"] for r in solved["lattice"]}
     gains = [both[r["pair"]] - r["cost"] for r in solved[default] if r["pair"] in both]
-    more = proved[default] - proved["lattice"]
+    more = shares[default] - shares["lattice"]
     success = (
-        f"It proves {more:.1f} % more pairs than the lattice alone."
+        f"It solves {more:.1f} % more pairs than the lattice alone."
         if more > 0
         else "It adds no success here: a lattice pose on top of the ranking holds as it is."
     )
@@ -206,5 +207,7 @@ def _evaluations(here: list[Row]) -> str:
 
 
 def _figures(rows: list[Row], names: list[str]) -> list[Figure]:
-    curves = tables.time_curves(_by_planner(rows), "first_proof", "solved", "pairs with a proved plan [%]", height=420)
-    return [Figure("Share of pairs with a proved plan over time", curves)]
+    curves = tables.time_curves(
+        _by_planner(rows), "first_verified", "solved", "pairs with a verified plan [%]", height=420
+    )
+    return [Figure("Share of pairs with a verified plan over time", curves)]

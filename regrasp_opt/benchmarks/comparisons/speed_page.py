@@ -14,7 +14,7 @@ PARTS = {
     "ends": ("exact feasibility at start and goal", "one exact check of every grasp at two poses"),
     "starts": ("lattice chains", "reading the lattice's likelihoods once"),
     "refine": ("Ipopt, energies included", "three passes of the network over the grasps, for each iteration"),
-    "verify": ("proof of candidates (inverse kinematics, collision)", "one feasible branch for each transition"),
+    "verify": ("verification of candidates (inverse kinematics, collision)", "one feasible branch for each transition"),
     "transitions": ("all shared grasps, configurations, clearances", "every branch of every shared grasp"),
 }
 """Parts of a plan: what they are, and what bounds their time from below."""

@@ -58,13 +58,13 @@ class OneStepTask:
     ----------
     energy : GraspEnergy
     placements, bounds
-        As of `SequenceObjective`.
+        Same as in `SequenceObjective`.
     ends : (2, 4, 4)
         Start and goal.
     feasible : (2, G) bool
         Exact feasibility at both.
     table_rule : TableRule
-        As of `SequenceObjective`; the generator with learned ends does without.
+        Same as in `SequenceObjective`; the generator with learned ends does without.
     """
 
     energy: GraspEnergy

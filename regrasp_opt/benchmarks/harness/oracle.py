@@ -42,7 +42,7 @@ class Resolution:
 
     def __post_init__(self) -> None:
         if not self.spacing > 0 or self.yaws < 1:
-            raise OptionError(f"a grid of spacing {self.spacing} and {self.yaws} yaws is none; give positive numbers")
+            raise OptionError(f"a grid cannot have spacing {self.spacing} and {self.yaws} yaws; give positive numbers")
 
     def __str__(self) -> str:
         return f"{self.spacing:g} m, {360 / self.yaws:g} degrees"

@@ -1,7 +1,7 @@
 """Every planner that is compared, behind one call: an instance in, one row out.
 
 Those of the package are recipes of `solve_sequence`. Two baselines come beside them: the discrete regrasp graph, which
-knows every grasp at every grid pose, and random poses that are checked as they come. All plans are proved by the same
+knows every grasp at every grid pose, and random poses that are checked as they come. All plans are verified by the same
 checker, and a row holds the same columns whoever made it.
 """
 
@@ -101,12 +101,12 @@ def outcome(plan: RegraspPlan, instance: Instance) -> Row:
 
 
 def effort(plan: RegraspPlan) -> Row:
-    """Return what the plan took: time to the first proof, iterations, solves, and how many of these converged."""
+    """Return what the plan took: seconds to the first verified plan, iterations, solves, and how many converged."""
     stats = plan.refiner_stats
     first = plan.timings["total"] - plan.timings.get("transitions", 0.0)
     return {
         "seconds": round(plan.timings["total"], 4),
-        "first_proof": round(first, 4) if plan.solved else None,
+        "first_verified": round(first, 4) if plan.solved else None,
         "iterations": int(sum(np.sum(entry.get("iterations", 0)) for entry in stats)),
         "evaluations": sum(int(entry.get("evaluations", 0)) for entry in stats),
         "solves": sum(int(entry.get("solves", 0)) for entry in stats),
@@ -144,7 +144,7 @@ def graph_row(
         "solved": path is not None,
         "num_regrasps": None if path is None else len(path),
         "seconds": round(seconds, 4),
-        "first_proof": None if path is None else round(seconds, 4),
+        "first_verified": None if path is None else round(seconds, 4),
         "before": oracle.seconds,
     }
     if path is not None:

@@ -1,6 +1,6 @@
 """Running the items of an experiment in parallel, so that a killed run goes on where it stopped.
 
-Every item has a key; its rows are written to one file, whole or not at all, under a hash of the key and of all that
+Every item has a key; its rows are written to one file, atomically, under a hash of the key and of all that
 the rows depend on. A second run reads the files it finds and computes the others, so no row is repeated or lost.
 """
 
@@ -57,7 +57,7 @@ class Item:
     @property
     def file_name(self) -> str:
         """Name of the file that holds the rows."""
-        return f"{content_hash('item-1', self.key, self.depends)[:32]}.json"
+        return f"{content_hash('item-2', self.key, self.depends)[:32]}.json"
 
 
 @dataclass(frozen=True)

@@ -110,7 +110,7 @@ class Session:
     def chosen(
         self, name: str, problem: RegraspProblem, oracle: Oracle, wanted: dict[str, int], *stream: int
     ) -> list[Instance]:
-        """Return start-goal pairs of the object `name` as of `choose_instances`, drawn from a stream of numbers."""
+        """Return start-goal pairs of the object `name` as `choose_instances` does, drawn from a stream of numbers."""
         return choose_instances(self.pool(problem), oracle, wanted, self.rng(*stream), name)
 
     def pool(self, problem: RegraspProblem) -> PosePool:

@@ -167,7 +167,7 @@ def _table(rows: list[Row]) -> Table:
 
     columns = {
         "pairs": len,
-        "proved [%]": tables.share("solved"),
+        "solved [%]": tables.share("solved"),
         "N as oracle [%]": tables.share(lambda row: row["num_regrasps"] == row["minimum"], of=both),
         "N below it [%]": tables.share(lambda row: row["num_regrasps"] < row["minimum"], of=both),
         "solved [s]": tables.average("seconds", of="solved"),
@@ -179,7 +179,7 @@ def _table(rows: list[Row]) -> Table:
         groups,
         columns,
         "Plans of the tier 'unsolvable', and plans with fewer regrasps, are what the continuous planner finds between"
-        " the poses of the grid. Shares of N are of the proved plans; times are means.",
+        " the poses of the grid. Shares of N are of the verified plans; times are means.",
     )
 
 

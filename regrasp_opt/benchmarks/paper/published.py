@@ -16,10 +16,10 @@ END_EFFECTORS = ("w", "r140", "r85", "s1", "s2", "s3")
 """Rows of Table II; its columns are the same in the order S1, S2, S3, W, R1, R2."""
 
 
-Row = TypeVar("Row")
+Printed = TypeVar("Printed")
 
 
-def _rows(kind: Callable[..., Row], keys: Iterable[Any], printed: dict[str, str]) -> dict[str, dict[Any, Row]]:
+def _rows(kind: Callable[..., Printed], keys: Iterable[Any], printed: dict[str, str]) -> dict[str, dict[Any, Printed]]:
     """Return by object, then by key, the rows that stand in the texts `printed`, with a comma between them."""
     return {
         name: {key: kind(*map(float, row.split())) for key, row in zip(keys, text.split(","), strict=True)}
