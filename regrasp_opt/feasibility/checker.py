@@ -12,18 +12,17 @@ from typing import NamedTuple
 
 import coal
 import numpy as np
-import pinocchio as pin
 
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, invert
 from regrasp_opt.errors import GraspError
-from regrasp_opt.feasibility.geometry import static_bodies
 from regrasp_opt.feasibility.scene import CollisionScene
 from regrasp_opt.feasibility.standing import standing_problem
-from regrasp_opt.geometry.shapes import mesh_geometry, surface_points
+from regrasp_opt.geometry.shapes import surface_points
 from regrasp_opt.geometry.solids import Solid, nested
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.scene import Workcell
+from regrasp_opt.scene.collision_world import CollisionWorld, Phase
 
 PAIRS_AT_ONCE = 20_000
 """Pairs that are checked together, in some ten MB of corners and branches, however many are asked for."""
@@ -34,6 +33,17 @@ class Branches(NamedTuple):
 
     q: FloatArray
     pair: IntArray
+
+
+class _Still:
+    """A body that stands still, as a Coal collision object in the world, and what to call it."""
+
+    def __init__(self, world: CollisionWorld, index: int) -> None:
+        body = world.bodies[index]
+        self.solid, self.pose = Solid(body.geometry), body.pose
+        self.item = coal.CollisionObject(body.geometry, coal.Transform3s(body.pose[:3, :3], body.pose[:3, 3]))
+        link = f"the robot's link '{body.label}'" if index in world.surroundings else "the robot's base"
+        self.label = f"the obstacle '{body.label}'" if index in world.obstacles else link
 
 
 class FeasibilityChecker:
@@ -59,18 +69,11 @@ class FeasibilityChecker:
         self.grasps = grasps
         self._lock = threading.RLock()  # the scene is arranged for one pose and grasp at a time
         self._vertices = model.vertices
-        self.scene = CollisionScene(model, workcell, grasps)
+        self.world = world = CollisionWorld(workcell, model)
+        self.scene = CollisionScene(world, grasps)
         effector = workcell.arm.end_effector
-        self._object = Solid(mesh_geometry(model.vertices, model.faces))
-        self._static = [
-            (
-                item,
-                Solid(item.collisionGeometry()),
-                pin.SE3(item.getRotation(), item.getTranslation()).homogeneous,
-                name,
-            )
-            for item, name in static_bodies(workcell)
-        ]
+        self._object = Solid(world.bodies[world.object].geometry)
+        self._still = [_Still(world, i) for _, i, _ in world.pairs(Phase.REST)]
         self._T_object_flange = grasps.T_object_tcp @ effector.T_tcp_flange
         self._corners = np.stack(
             [
@@ -165,11 +168,12 @@ class FeasibilityChecker:
         body = coal.CollisionObject(self._object.geometry, coal.Transform3s(T[:3, :3], T[:3, 3]))
         request = coal.CollisionRequest()
         request.security_margin = clearance
-        for item, solid, T_world_item, name in self._static:
-            if coal.collide(body, item, request, coal.CollisionResult()) or (
-                body.getAABB().overlap(item.getAABB()) and nested(self._object, solid, invert(T) @ T_world_item)
+        for still in self._still:
+            if coal.collide(body, still.item, request, coal.CollisionResult()) or (
+                body.getAABB().overlap(still.item.getAABB())
+                and nested(self._object, still.solid, invert(T) @ still.pose)
             ):
-                return name
+                return still.label
         return None
 
     def _blocked(self, T: FloatArray) -> BoolArray:

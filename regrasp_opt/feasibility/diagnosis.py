@@ -143,13 +143,13 @@ def _collision(checker: FeasibilityChecker, T: FloatArray, grasp_id: int, branch
 
 def _named(checker: FeasibilityChecker, pair: tuple[int, int]) -> Reason:
     """Return the failure that a colliding pair of the scene's bodies means; the second may stand still."""
-    scene, (moving, other) = checker.scene, pair
-    is_gripper = moving in scene.gripper
-    if other == scene.table:
+    world, (moving, other) = checker.world, pair
+    is_gripper, labels = moving in world.gripper, [world.bodies[i].label for i in pair]
+    if other in world.supports:
         return Reason(Cause.GRIPPER_IN_TABLE if is_gripper else Cause.ARM_IN_TABLE)
-    if other == scene.object:
+    if other == world.object:
         return Reason(Cause.ARM_IN_OBJECT)
-    if scene.is_obstacle(other):
+    if other in world.surroundings:
         cause = Cause.GRIPPER_IN_OBSTACLE if is_gripper else Cause.ARM_IN_OBSTACLE
-        return Reason(cause, (f"obstacle '{scene.name(other)}'",))
-    return Reason(Cause.SELF_COLLISION, (f"'{scene.name(moving)}'", f"'{scene.name(other)}'"))
+        return Reason(cause, (f"obstacle '{labels[1]}'",))
+    return Reason(Cause.SELF_COLLISION, (f"'{labels[0]}'", f"'{labels[1]}'"))

@@ -10,7 +10,6 @@ problem's. A plan's cost is a record and is not recomputed.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -23,23 +22,13 @@ from regrasp_opt.conventions import (
     PLACEMENT_TOLERANCE,
     RESTING_TOLERANCE,
     FloatArray,
-    invert,
     pose_distance,
 )
-from regrasp_opt.geometry.shapes import mesh_geometry, shape_geometry
 from regrasp_opt.geometry.solids import Solid, distance
 from regrasp_opt.grasps import hold_failures
 from regrasp_opt.planning.plan_data import PlanData, Transition
 from regrasp_opt.planning.problem import RegraspProblem
-from regrasp_opt.scene.pairs import arm_pairs
-
-
-class Body(NamedTuple):
-    """A collision body at a world pose (4, 4)."""
-
-    name: str
-    solid: Solid
-    T_world: FloatArray
+from regrasp_opt.scene.collision_world import CollisionWorld, Phase
 
 
 @dataclass(frozen=True)
@@ -183,11 +172,10 @@ def _transition(scene: _Scene, transition: Transition, ends: FloatArray) -> Tran
     nearest = []
     for k, grasp_id in enumerate(transition.grasp_ids.tolist()):
         for side, (T, q) in enumerate(zip(ends, (transition.q_pick[k], transition.q_place[k]), strict=True)):
-            arm, T_world_tcp = scene.arm_at(q)
             wanted = T @ grasps.T_object_tcp[grasp_id]
-            position[k, side], rotation[k, side] = pose_distance(T_world_tcp, wanted)
+            position[k, side], rotation[k, side] = pose_distance(scene.tcp(q), wanted)
             limit[k, side] = min((q - robot.lower).min(), (robot.upper - q).min())
-            collision[k, side], clearance[k, side], pair = scene.margins(arm, T_world_tcp, T, grasp_id)
+            collision[k, side], clearance[k, side], pair = scene.margins(q, T, grasp_id)
             nearest.append(pair)
     excess = transition.clearance - clearance.min(axis=1)
     held = hold_failures(
@@ -226,64 +214,53 @@ def _violations(transition: Transition, residuals: TransitionResiduals) -> list[
 
 
 class _Scene:
-    """The bodies of a problem, built here once more and from nothing but its data."""
+    """The bodies of a problem, placed and measured by other means than the planner's."""
 
     def __init__(self, problem: RegraspProblem) -> None:
-        cell = problem.workcell
-        self.problem = problem
-        self.data = cell.arm.robot.model.createData()
-        self.object = Solid(mesh_geometry(problem.object.vertices, problem.object.faces))
-        self.arm = [Solid(item.geometry) for item in cell.arm.robot.collision.geometryObjects]
-        shapes = [cell.table.shape, *cell.obstacles]
-        self.fixed = [Body(s.name, Solid(shape_geometry(s)), s.pose) for s in shapes]
-
-    def arm_at(self, q: FloatArray) -> tuple[list[Body], FloatArray]:
-        """Return the arm's bodies and the TCP (4, 4) in the world at configuration `q` (dof,), by Pinocchio."""
-        cell, robot, data = self.problem.workcell, self.problem.workcell.arm.robot, self.data
-        pin.framesForwardKinematics(robot.model, data, q)
-        bodies = []
-        for item, solid in zip(robot.collision.geometryObjects, self.arm, strict=True):
-            T = cell.arm.T_world_base @ (data.oMi[item.parentJoint] * item.placement).homogeneous
-            bodies.append(Body(item.name, solid, T))
-        T_base_tip = data.oMf[robot.model.getFrameId(robot.tip_frame)].homogeneous
-        return bodies, cell.arm.T_world_base @ T_base_tip @ cell.arm.end_effector.T_flange_tcp
-
-    def margins(
-        self, arm: list[Body], T_world_tcp: FloatArray, T: FloatArray, grasp_id: int
-    ) -> tuple[float, float, tuple[str, str]]:
-        """Return the least (distance - required clearance) [m], the distance to the surroundings [m], and the pair."""
-        cell = self.problem.workcell
-        joints = [item.parentJoint for item in cell.arm.robot.collision.geometryObjects]
-        palm, closed, opened = self._gripper(T_world_tcp @ invert(cell.arm.end_effector.T_flange_tcp), grasp_id)
-        gripper = (*palm, *closed, *opened)
-        held = Body("object", self.object, T)
-        moving = [body for body, joint in zip(arm, joints, strict=True) if joint > 0]
-        clearance, near, still = cell.clearance, arm_pairs(cell), cell.arm.robot.obstacles
-        pairs = [(a, b, clearance.arm) for a in moving for b in (*self.fixed, held)]
-        pairs += [(a, b, clearance.gripper) for a in gripper for b in self.fixed]
-        own = [(a, arm[j], required) for a in gripper for j, required in near.tool if j in still]
-        pairs += own + [(arm[i], arm[j], required) for i, j, required in near.links if j in still]
-        surroundings = len(pairs)
-        pairs += [(a, held, 0.0) for a in (*palm, *opened)]
-        pairs += [(held, b, clearance.gripper) for b, joint in zip(arm, joints, strict=True) if joint == 0]
-        pairs += [(a, arm[j], required) for a in gripper for j, required in near.tool if j not in still]
-        pairs += [(arm[i], arm[j], required) for i, j, required in near.links if j not in still]
-        pairs += [(held, b, clearance.gripper) for b in self.fixed[1:]]
-        distances = np.array([distance(a.solid, b.solid, a.T_world, b.T_world) for a, b, _ in pairs])
-        margins = distances - np.array([required for *_, required in pairs])
-        worst = int(np.argmin(margins))
-        nearest = pairs[worst][0].name, pairs[worst][1].name
-        return float(margins[worst]), float(distances[:surroundings].min()), nearest
-
-    def _gripper(self, T_world_flange: FloatArray, grasp_id: int) -> tuple[list[Body], ...]:
-        """Return the palm, the fingers at the grasp width, and the fingers at the approach width."""
-        effector, width = self.problem.workcell.arm.end_effector, float(self.problem.grasps.width[grasp_id])
-        groups = (
-            effector.body,
-            effector.finger_boxes(width),
-            effector.finger_boxes(width + 2 * effector.pre_opening),
+        self.problem, self.arm = problem, problem.workcell.arm
+        self.world = world = CollisionWorld(problem.workcell, problem.object)
+        self.data = self.arm.robot.model.createData()
+        self.solids = [Solid(body.geometry) for body in world.bodies]
+        closed = [pair for pair in world.pairs(Phase.GRASP) if pair[0] in world.fingers]
+        opened = [*world.pairs(Phase.MOVE), *world.pairs(Phase.REST)]
+        self.pairs = [(*pair, False) for pair in closed] + [(*pair, True) for pair in opened]
+        arm, gripper = (*world.moving, *world.gripper), world.gripper
+        self.measured = np.array(
+            [
+                i in arm and j in world.surroundings and not (i in gripper and j == world.object)
+                for i, j, *_ in self.pairs
+            ]
         )
-        return tuple(
-            [Body(f"gripper {s.name}", Solid(shape_geometry(s)), T_world_flange @ s.pose) for s in group]
-            for group in groups
-        )
+
+    def margins(self, q: FloatArray, T: FloatArray, grasp_id: int) -> tuple[float, float, tuple[str, str]]:
+        """Return the least (distance - required clearance) [m], the distance to the surroundings [m], and the pair.
+
+        The arm is at `q` (dof,), the object at `T` (4, 4), the fingers at the grasp width and where they approach.
+        """
+        bodies, width = self.world.bodies, float(self.problem.grasps.width[grasp_id])
+        widths = width, width + 2 * self.arm.end_effector.pre_opening
+        closed, opened = (self._placed(q, T, w) for w in widths)
+        distances = []
+        for i, j, _, is_open in self.pairs:
+            placed = opened if is_open else closed
+            distances.append(distance(self.solids[i], self.solids[j], placed[i], placed[j]))
+        margins = np.array(distances) - [required for _, _, required, _ in self.pairs]
+        i, j, *_ = self.pairs[int(np.argmin(margins))]
+        return float(margins.min()), float(np.array(distances)[self.measured].min()), (bodies[i].name, bodies[j].name)
+
+    def tcp(self, q: FloatArray) -> FloatArray:
+        """Return the TCP (4, 4) in the world at configuration `q` (dof,), by Pinocchio."""
+        robot = self.arm.robot
+        pin.framesForwardKinematics(robot.model, self.data, q)
+        T_base_tip = self.data.oMf[robot.model.getFrameId(robot.tip_frame)].homogeneous
+        return self.arm.T_world_base @ T_base_tip @ self.arm.end_effector.T_flange_tcp
+
+    def _placed(self, q: FloatArray, T: FloatArray, width: float) -> list[FloatArray]:
+        """Return where all bodies are in the world (4, 4)."""
+        pin.forwardKinematics(self.arm.robot.model, self.data, q)
+        poses = dict(zip(self.world.fingers, self.world.finger_poses(width), strict=True)) | {self.world.object: T}
+        placed = [poses.get(i, body.pose) for i, body in enumerate(self.world.bodies)]
+        for i in (*self.world.moving, *self.world.gripper):
+            T_base_joint = self.data.oMi[self.world.bodies[i].joint].homogeneous
+            placed[i] = self.arm.T_world_base @ T_base_joint @ placed[i]
+        return placed

@@ -19,11 +19,9 @@ from numpy.typing import ArrayLike
 from regrasp_opt.conventions import JOINT_LIMIT_TOLERANCE, BoolArray, FloatArray
 from regrasp_opt.files import content_hash
 from regrasp_opt.geometry.shapes import geometry_parts
-from regrasp_opt.geometry.solids import Containment
 from regrasp_opt.robots.analytic import AnalyticIk
 from regrasp_opt.robots.ik import IkSolutions, InverseKinematics
 from regrasp_opt.robots.kinematics import SerialChain
-from regrasp_opt.robots.queries import settle_queries
 from regrasp_opt.robots.self_test import IkTest, self_test
 from regrasp_opt.robots.urdf import parse_xml
 
@@ -193,24 +191,6 @@ class Robot:
             for j in range(i + 1, len(joints))
             if joints[i] != joints[j] and frozenset((links[i], links[j])) not in untested
         ]
-
-    def colliding_links(self, q: ArrayLike, clearances: ArrayLike = 0.0) -> tuple[str, str] | None:
-        """Return the first two links that collide, or of which one is inside the other, at `q` (dof,), or None.
-
-        `clearances` are the distances [m] that count as collision, one of all or one for each self-collision pair.
-        """
-        geometry = self.collision.copy()
-        pairs = self.self_collision_pairs()
-        for i, j in pairs:
-            geometry.addCollisionPair(pin.CollisionPair(i, j))
-        data = geometry.createData()
-        settle_queries(data, np.broadcast_to(clearances, len(pairs)))
-        q = np.asarray(q, dtype=np.float64)
-        joints = self.model.createData()
-        pin.computeCollisions(self.model, joints, geometry, data, q, False)
-        hits = [k for k, result in enumerate(data.collisionResults) if result.isCollision()]
-        hits += Containment(self.model, joints, geometry, pairs).found(q)
-        return (self.link_of(pairs[hits[0]][0]), self.link_of(pairs[hits[0]][1])) if hits else None
 
     def fingerprint(self) -> str:
         """Return a hash of what decides feasibility: joints, limits, collision bodies and tested pairs."""

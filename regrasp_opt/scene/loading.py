@@ -18,7 +18,7 @@ from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh, Shape
 from regrasp_opt.geometry.solids import find_shells
 from regrasp_opt.robots import Robot, load_robot
 from regrasp_opt.scene.arm import Arm
-from regrasp_opt.scene.home import collision_at_home
+from regrasp_opt.scene.collision_world import collision_at_home
 from regrasp_opt.scene.schema import ObstacleSection, RobotSection, Vector, WorkcellFile
 from regrasp_opt.scene.support import Support
 from regrasp_opt.scene.workcell import Clearance, Workcell, WorkspaceBounds

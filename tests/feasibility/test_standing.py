@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from regrasp_opt.feasibility.geometry import static_bodies
 from regrasp_opt.feasibility.standing import resting_problem, standing_problem
 from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh, mesh_geometry, shape_geometry
 from regrasp_opt.scene import Support, load_workcell
@@ -79,21 +78,3 @@ def test_shapes_have_their_size_as_collision_bodies():
     for mesh in (mesh_geometry(CORNERS, faces), shape_geometry(Mesh("a", CORNERS, faces, pose))):
         assert (mesh.num_vertices, mesh.num_tris) == (8, 2)
         np.testing.assert_allclose(mesh.vertices(), CORNERS)
-
-
-def test_fixed_bodies_stand_where_the_workcell_says(cell):
-    pose = np.eye(4)
-    pose[:3, 3] = 0.3, 0.5, 0.1
-    moved = replace(cell, obstacles=(Box("crate", np.array([0.1, 0.1, 0.2]), pose),))
-    moved = replace(
-        moved,
-        arm=replace(moved.arm, T_world_base=np.array([[0, -1, 0, 0.2], [1, 0, 0, 0], [0, 0, 1, 0.1], [0, 0, 0, 1.0]])),
-    )
-    bodies = static_bodies(moved)
-    base = [item for item in cell.robot.collision.geometryObjects if item.parentJoint == 0]
-    assert [name for _, name in bodies] == ["the obstacle 'crate'"] + ["the robot's base"] * len(base)
-    np.testing.assert_allclose(bodies[0][0].getTranslation(), [0.3, 0.5, 0.1])
-    for (body, _), item in zip(bodies[1:], base, strict=True):
-        T = moved.T_world_base @ item.placement.homogeneous
-        np.testing.assert_allclose(body.getTranslation(), T[:3, 3], atol=1e-12)
-        np.testing.assert_allclose(body.getRotation(), T[:3, :3], atol=1e-12)

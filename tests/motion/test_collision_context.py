@@ -49,7 +49,7 @@ def test_a_setting_passes_where_every_distance_suffices(scene, bottle_plan, kind
     for _ in range(60):
         q, level = q_pick + rng.normal(size=6) * rng.choice([0.03, 0.2, 1.0]), int(rng.integers(len(LEVELS)))
         passed = setting.passes(q, level)
-        excess = least_excess(bodies, scene._data, scene._model, q, level, skipped)
+        excess = least_excess(bodies, bodies.data, bodies.model, q, level, skipped)
         if abs(excess) < 1e-6:
             continue
         if kind == "lifting" and not passed and excess > 0:
@@ -92,7 +92,7 @@ def test_lifting_allows_contact_with_the_table_and_no_more(scene, bottle_plan):
 
 def test_the_arm_keeps_its_clearance_from_the_resting_object(scene, bottle_plan):
     """A link put 4 mm from the object passes no level: the arm's clearance is 5 mm."""
-    cell, data = bottle_plan.problem.workcell, scene._data
+    cell, data = bottle_plan.problem.workcell, scene._free.data
     q = cell.robot.home
     pin.forwardKinematics(cell.robot.model, data, q)
     wrist = data.oMi[6].translation  # link 6 is a cylinder of radius 35.5 mm about its joint's axis

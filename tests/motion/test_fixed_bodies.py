@@ -65,7 +65,7 @@ def test_a_post_of_the_urdf_is_what_an_obstacle_is(problems, bottle_plan):
         q = np.clip(q_pick + rng.normal(size=6) * rng.choice([0.2, 0.6, 1.5]), robot.lower, robot.upper)
         free = [p.checker.is_free(T, grasp, q) for p in problems]
         clearances = [p.checker.clearance(T, grasp, q) for p in problems]
-        verified = [verification.margins(*verification.arm_at(q), T, grasp)[:2] for verification in verifications]
+        verified = [verification.margins(q, T, grasp)[:2] for verification in verifications]
         assert free[0] == free[1] and clearances[0] == pytest.approx(clearances[1], abs=1e-9)
         np.testing.assert_allclose(*verified, atol=1e-9)
         assert free[0] or verified[0][0] < 1e-6  # which looks at gripper and object too
@@ -76,7 +76,7 @@ def test_a_post_of_the_urdf_is_what_an_obstacle_is(problems, bottle_plan):
         for measured in (True, False):
             least = [m[r.measured == measured].min() for m, r in zip(margins, rows, strict=True)]
             assert least[0] == pytest.approx(least[1], abs=1e-9)
-        post = "post" in str(verifications[0].margins(*verifications[0].arm_at(q), T, grasp)[2])
+        post = "post" in str(verifications[0].margins(q, T, grasp)[2])
         outcomes.append("free" if free[0] else "post" if post else "other")
     assert min(outcomes.count("free"), outcomes.count("post")) > 5
 

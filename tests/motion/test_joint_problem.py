@@ -15,13 +15,14 @@ from regrasp_opt.conventions import invert, translation
 from regrasp_opt.errors import OptionError, UnknownNameError
 from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh, shape_geometry, surface_points
 from regrasp_opt.motion import MeasureBounds, SearchOptions, refine_plan
-from regrasp_opt.motion.refinement.bodies import Capsule, _solid, _to_obstacle, covering_capsule
+from regrasp_opt.motion.refinement.bodies import Capsule, _to_obstacle, covering_capsule
 from regrasp_opt.motion.refinement.choice import States, best_choices, states_at, unreachable
 from regrasp_opt.motion.refinement.measures import JointMeasures, first_choice, manipulability, measure_choice, travel
 from regrasp_opt.motion.refinement.program import joint_functions
 from regrasp_opt.motion.refinement.search import JointSearch
 from regrasp_opt.planning.tasks import random_task
 from regrasp_opt.robots import load_robot
+from regrasp_opt.scene.collision_world import Body
 
 SHORT = SearchOptions(starts=1, rounds=1)
 
@@ -140,7 +141,10 @@ def test_balls_bound_the_distance_to_a_box_from_below():
         a, b = rng.uniform(-1, 1, (2, 3))
         length = float(np.linalg.norm(b - a))
         found = min(
-            float(ca.DM(d)) for d in _to_obstacle(Capsule("link", ca.DM(a), ca.DM(b), 0.05, length), _solid(box))
+            float(ca.DM(d))
+            for d in _to_obstacle(
+                Capsule("link", ca.DM(a), ca.DM(b), 0.05, length), Body("box", "box", 0, box.pose, shape_geometry(box))
+            )
         )
         R = Rotation.align_vectors([(b - a) / length], [[0, 0, 1]])[0].as_matrix()
         body = coal.Capsule(0.05, length), coal.Transform3s(R, (a + b) / 2)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from arms import arm_urdf
+from collisions import colliding_links
 from dae_files import collada, triangles
 
 from regrasp_opt.errors import WorkcellError
@@ -95,5 +96,5 @@ def test_a_link_inside_another_collides_with_it(tmp_path):
     both = with_body(with_body(ARM, "link0", '<mesh filename="part.stl"/>'), "link3", '<box size="0.1 0.1 0.1"/>')
     (tmp_path / "both.urdf").write_text(both, encoding="utf-8")
     robot = load_robot(tmp_path / "both.urdf")
-    assert robot.colliding_links([0.0, 2.5, 0.0]) == ("link0", "link3")  # wholly inside
-    assert robot.colliding_links([0.0, 0.0, 0.0]) is None  # above
+    assert colliding_links(robot, [0.0, 2.5, 0.0]) == ("link0", "link3")  # wholly inside
+    assert colliding_links(robot, [0.0, 0.0, 0.0]) is None  # above

@@ -16,12 +16,11 @@ import coal
 import numpy as np
 
 from regrasp_opt.conventions import FloatArray
-from regrasp_opt.geometry.shapes import Shape, mesh_geometry, shape_geometry
+from regrasp_opt.geometry.shapes import shape_geometry
 from regrasp_opt.planning import RegraspProblem
-from regrasp_opt.robots import Robot
 from regrasp_opt.robots.casadi_distances import capsule_distance, point_box_distance
 from regrasp_opt.robots.casadi_kinematics import joint_placements
-from regrasp_opt.scene.pairs import arm_pairs
+from regrasp_opt.scene.collision_world import Body, CollisionWorld, Phase
 
 SPACING = 0.01
 """Balls along a capsule are no denser than this [m]; thicker capsules have them a radius apart."""
@@ -86,53 +85,46 @@ def _box_around(geometry: Any) -> tuple[FloatArray, FloatArray]:
 
 def configuration_rows(problem: RegraspProblem) -> Rows:
     """Return the distances of arm and gripper, a function of ``q`` (dof,), ``T`` (4, 4) T_world_object, ``width``."""
-    cell = problem.workcell
-    robot, effector, clearance, near = cell.arm.robot, cell.arm.end_effector, cell.clearance, arm_pairs(cell)
-    q, T, width = ca.SX.sym("q", robot.dof), ca.SX.sym("T", 4, 4), ca.SX.sym("width")
-    T_world_base = ca.SX(ca.DM(cell.arm.T_world_base))
-    T_joint = [T_world_base @ placement for placement in joint_placements(robot.model, q)]
-    arm, joints = _arm_capsules(robot)
-    arm = [capsule.moved(T_joint[joint]) for capsule, joint in zip(arm, joints, strict=True)]
-    tip = robot.model.frames[robot.model.getFrameId(robot.tip_frame)]
-    T_world_flange = T_joint[tip.parentJoint] @ ca.SX(ca.DM(tip.placement.homogeneous))
-    gripper = [_of_shape(shape).moved(T_world_flange) for shape in effector.body]
-    fingers = effector.finger_boxes(0.0, effector.pre_opening)
-    for number, shape in enumerate(fingers):
-        capsule = _of_shape(shape)
+    arm, world = problem.workcell.arm, CollisionWorld(problem.workcell, problem.object)
+    q, T, width = ca.SX.sym("q", arm.robot.dof), ca.SX.sym("T", 4, 4), ca.SX.sym("width")
+    T_world_base = ca.SX(ca.DM(arm.T_world_base))
+    T_joint = [T_world_base @ placement for placement in joint_placements(arm.robot.model, q)]
+    capsules = {i: _capsule(world.bodies[i]) for i in (*world.moving, *world.still, *world.palm)}
+    fingers = arm.end_effector.finger_boxes(0.0, arm.end_effector.pre_opening)
+    for number, (i, shape) in enumerate(zip(world.fingers, fingers, strict=True)):
+        # turned into the joint's frame below: the jaw moves in the flange's
+        capsule = covering_capsule(world.bodies[i].name, shape_geometry(shape)).moved(shape.pose)
         aside = ca.vertcat(0, (0.5 if number < len(fingers) / 2 else -0.5) * width, 0)
-        gripper.append(capsule._replace(a=capsule.a + aside, b=capsule.b + aside).moved(T_world_flange))
-    moving = [capsule for capsule, joint in zip(arm, joints, strict=True) if joint > 0]
-    held = covering_capsule("object", mesh_geometry(problem.object.vertices, problem.object.faces)).moved(T)
+        moved = capsule._replace(a=capsule.a + aside, b=capsule.b + aside)
+        capsules[i] = moved.moved(ca.SX(ca.DM(world.T_tip_flange)))
+    for i, capsule in capsules.items():
+        joint = world.bodies[i].joint
+        capsules[i] = capsule.moved(T_joint[joint]) if joint else capsule
+    capsules[world.object] = _capsule(world.bodies[world.object]).moved(T)
 
     rows: list[tuple[Any, str, bool, float]] = []
-    for body in moving:
-        for end in (body.a, body.b):
-            rows.append((end[2] - body.radius - cell.table.height, f"{body.name} and table", True, clearance.arm))
-        rows.append((_between(body, held), f"{body.name} and object", True, clearance.arm))
-    for bodies, needed in ((moving, clearance.arm), (gripper, clearance.gripper)):
-        for body in bodies:
-            for obstacle in map(_solid, cell.obstacles):
-                name = f"{body.name} and {obstacle.name}"
-                rows += [(distance, name, True, needed) for distance in _to_obstacle(body, obstacle)]
-    still = _own_obstacles(problem)
-    for a, j, needed in [(a, j, c) for a in gripper for j, c in near.tool] + [(arm[i], j, c) for i, j, c in near.links]:
-        distances = _to_obstacle(a, still[j]) if j in still else [_between(a, arm[j])]
-        rows += [(distance, f"{a.name} and {arm[j].name}", j in still, needed) for distance in distances]
+    for i, j, needed in world.pairs(Phase.GRASP):
+        body, other = capsules[i], world.bodies[j]
+        if j in world.supports:
+            height = problem.workcell.supports[world.supports.index(j)].height
+            distances = [end[2] - body.radius - height for end in (body.a, body.b)] if i in world.moving else []
+        elif j in world.surroundings and j != world.object:
+            distances = _to_obstacle(body, other)
+        else:
+            distances = [_between(body, capsules[j])]
+        rows += [(distance, f"{body.name} and {other.name}", j in world.surroundings, needed) for distance in distances]
     return _rows("clearances", [q, T, width], ["q", "T", "width"], rows)
 
 
 def object_rows(problem: RegraspProblem) -> Rows:
     """Return the distances of the object to obstacles and the robot's base, a function of ``T`` (4, 4)."""
-    cell = problem.workcell
-    T = ca.SX.sym("T", 4, 4)
-    held = covering_capsule("object", mesh_geometry(problem.object.vertices, problem.object.faces)).moved(T)
-    T_world_base = ca.SX(ca.DM(cell.arm.T_world_base))
-    capsules, joints = _arm_capsules(cell.arm.robot)
-    needed, still = cell.clearance.gripper, _own_obstacles(problem)
-    base = [c.moved(T_world_base) for i, c in enumerate(capsules) if joints[i] == 0 and i not in still]
-    rows = [(_between(held, body), f"object and {body.name}", False, needed) for body in base]
-    for obstacle in (*still.values(), *map(_solid, cell.obstacles)):
-        rows += [(d, f"object and {obstacle.name}", False, needed) for d in _to_obstacle(held, obstacle)]
+    world, T = CollisionWorld(problem.workcell, problem.object), ca.SX.sym("T", 4, 4)
+    held = _capsule(world.bodies[world.object]).moved(T)
+    rows = []
+    for _, j, needed in world.pairs(Phase.REST):
+        body = world.bodies[j]
+        distances = _to_obstacle(held, body) if j in world.surroundings else [_between(held, _capsule(body))]
+        rows += [(distance, f"object and {body.name}", False, needed) for distance in distances]
     return _rows("object_clearances", [T], ["T"], rows)
 
 
@@ -143,43 +135,19 @@ def _rows(name: str, inputs: list[Any], labels: list[str], rows: list[tuple[Any,
     return Rows(function, tuple(row[1] for row in rows), measured, required)
 
 
-def _arm_capsules(robot: Robot) -> tuple[list[Capsule], list[int]]:
-    """Return a capsule around each collision body, in its joint's frame, and the joint; 0 is the base."""
-    bodies = robot.collision.geometryObjects
-    capsules = [covering_capsule(body.name, body.geometry).moved(body.placement.homogeneous) for body in bodies]
-    return capsules, [int(body.parentJoint) for body in bodies]
-
-
-def _of_shape(shape: Shape) -> Capsule:
-    return covering_capsule(f"gripper {shape.name}", shape_geometry(shape)).moved(shape.pose)
+def _capsule(body: Body) -> Capsule:
+    """Return a capsule around a body, in the frame of its joint."""
+    return covering_capsule(body.name, body.geometry).moved(body.pose)
 
 
 def _between(a: Capsule, b: Capsule) -> Any:
     return capsule_distance(a.a, a.b, a.radius, b.a, b.b, b.radius)
 
 
-class _Solid(NamedTuple):
-    name: str
-    geometry: Any
-    pose: FloatArray
-
-
-def _solid(shape: Shape) -> _Solid:
-    return _Solid(shape.name, shape_geometry(shape), shape.pose)
-
-
-def _own_obstacles(problem: RegraspProblem) -> dict[int, _Solid]:
-    """Return the bodies of the robot that count as obstacles, in the world, by their index."""
-    cell = problem.workcell
-    items = {i: cell.arm.robot.collision.geometryObjects[i] for i in sorted(cell.arm.robot.obstacles)}
-    poses = {i: cell.arm.T_world_base @ item.placement.homogeneous for i, item in items.items()}
-    return {i: _Solid(item.name, item.geometry, poses[i]) for i, item in items.items()}
-
-
-def _to_obstacle(body: Capsule, obstacle: _Solid) -> list[Any]:
+def _to_obstacle(body: Capsule, obstacle: Body) -> list[Any]:
     """Return distances [m] of a world capsule to an obstacle, the least of which bounds the true one from below."""
     if not isinstance(obstacle.geometry, coal.Box):
-        return [_between(body, covering_capsule(obstacle.name, obstacle.geometry).moved(obstacle.pose))]
+        return [_between(body, _capsule(obstacle))]
     R, p = ca.SX(ca.DM(obstacle.pose[:3, :3])), ca.SX(ca.DM(obstacle.pose[:3, 3]))
     half = ca.SX(ca.DM(np.array(obstacle.geometry.halfSide)))
     count = 1 + math.ceil(body.length / max(body.radius, SPACING))

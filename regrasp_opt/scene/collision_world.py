@@ -1,0 +1,174 @@
+"""The collision world of a workcell: its bodies, which of them may touch, and the clearances of all others.
+
+The exact check, motions, the joint problem and the certificate all take their bodies and pairs from here, and measure
+by themselves. Links that one joint connects may touch, and those that the workcell names. What stands still in the
+robot's own file is an obstacle, with the clearances of one, but for the link in which the first joint turns: that is
+the arm's own. The tool may touch what turns with the flange.
+"""
+
+from __future__ import annotations
+
+from enum import Enum, auto
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from regrasp_opt.conventions import FloatArray
+from regrasp_opt.geometry.shapes import Shape, mesh_geometry, shape_geometry
+from regrasp_opt.geometry.solids import Solid, distance
+from regrasp_opt.objects import ObjectModel
+from regrasp_opt.scene.workcell import Workcell
+
+WORLD = 0
+"""The joint of what stands still."""
+
+
+class Phase(Enum):
+    """What the arm is about, which decides who may touch whom."""
+
+    GRASP = auto()
+    """Gripper at a resting object, which it may touch (the sampler of grasps keeps it clear but for the contact)."""
+    MOVE = auto()
+    """Empty hand beside a resting object. Its pairs begin with those of `GRASP`."""
+    LIFT = auto()
+    """Object in the hand; it may touch the supports."""
+    CARRY = auto()
+    """Object in the hand. Its pairs begin with those of `LIFT`."""
+    REST = auto()
+    """The object alone beside what stands still, on a support."""
+    HOME = auto()
+    """No object. To be apart from supports and obstacles is enough."""
+
+
+class Body(NamedTuple):
+    """A body that can collide.
+
+    Attributes
+    ----------
+    name : str
+        Its name in certificates.
+    label : str
+        What messages call it: the link, or the shape.
+    joint : int
+        The joint that carries it, or `WORLD`.
+    pose : (4, 4) array
+        In the frame of its joint; in the world if it stands still. Fingers have zero opening; the object's depends on
+        the phase and means nothing here.
+    geometry : coal.CollisionGeometry
+    """
+
+    name: str
+    label: str
+    joint: int
+    pose: FloatArray
+    geometry: Any
+
+
+Pair = tuple[int, int, float]
+"""Two bodies by index and their clearance [m]; what stands still is the second, except beside a held object."""
+
+
+class CollisionWorld:
+    """The bodies of a workcell, and of an object where one is given.
+
+    Attributes
+    ----------
+    bodies : list of Body
+        Those of the robot come first, in the order of `Robot.collision`.
+    moving, still : tuple of int
+        Indices of the arm's bodies that move, and of those that do not.
+    palm, fingers, gripper : tuple of int
+    supports, obstacles : tuple of int
+    object : int
+    surroundings : frozenset of int
+        What the clearance of a grasp is measured to: supports, obstacles, object.
+    tip_joint : int
+        The joint that carries the tool.
+    T_tip_flange : (4, 4) array
+        The flange in the frame of that joint.
+    """
+
+    def __init__(self, workcell: Workcell, model: ObjectModel | None = None) -> None:
+        self.workcell, self._robot = workcell, workcell.arm.robot
+        robot, effector = workcell.arm.robot, workcell.arm.end_effector
+        tip = robot.model.frames[robot.model.getFrameId(robot.tip_frame)]
+        self.tip_joint, self.T_tip_flange = int(tip.parentJoint), tip.placement.homogeneous
+        self.bodies: list[Body] = []
+        for index, item in enumerate(robot.collision.geometryObjects):
+            joint, T = int(item.parentJoint), item.placement.homogeneous
+            T = T if joint else workcell.arm.T_world_base @ T
+            self.bodies.append(Body(item.name, robot.link_of(index), joint, T, item.geometry))
+        self.moving = tuple(i for i, body in enumerate(self.bodies) if body.joint)
+        self.still = tuple(i for i, body in enumerate(self.bodies) if not body.joint)
+        self.palm = self._add(effector.body, "gripper ")
+        self.fingers = self._add(effector.finger_boxes(0.0), "gripper ")
+        self.gripper = (*self.palm, *self.fingers)
+        self.supports = self._add([support.shape for support in workcell.supports])
+        self.obstacles = self._add(workcell.obstacles)
+        self.object = len(self.bodies)
+        if model is not None:
+            mesh = mesh_geometry(model.vertices, model.faces)
+            self.bodies.append(Body("object", "object", WORLD, np.eye(4), mesh))
+        self.surroundings = frozenset((*self.supports, *self.obstacles, self.object, *robot.obstacles))
+
+    def _add(self, shapes: Any, prefix: str = "") -> tuple[int, ...]:
+        first = len(self.bodies)
+        self.bodies += [self._body(shape, prefix) for shape in shapes]
+        return tuple(range(first, len(self.bodies)))
+
+    def _body(self, shape: Shape, prefix: str) -> Body:
+        joint, T = (self.tip_joint, self.T_tip_flange @ shape.pose) if prefix else (WORLD, shape.pose)
+        return Body(prefix + shape.name, shape.name, joint, T, shape_geometry(shape))
+
+    def finger_poses(self, width: float) -> list[FloatArray]:
+        """Return the poses (4, 4) of the fingers at a jaw width [m], in the frame of the tip's joint."""
+        return [self.T_tip_flange @ box.pose for box in self.workcell.arm.end_effector.finger_boxes(width)]
+
+    def pairs(self, phase: Phase) -> list[Pair]:
+        """Return the bodies that must be apart in a phase, with their clearances."""
+        robot, near = self._robot, self.workcell.clearance
+        if phase is Phase.REST:
+            return [(self.object, i, near.gripper) for i in (*self.obstacles, *self.still)]
+        before_tip = [i for i in range(robot.collision.ngeoms) if self.bodies[i].joint < robot.dof]
+        beside = (self.object,) if phase in (Phase.GRASP, Phase.MOVE) else ()
+        fixed = (*self.supports, *beside, *self.obstacles)
+        arm = [(i, j, near.arm) for i in self.moving for j in fixed]
+        gripper = [(i, j, near.gripper) for i in self.gripper for j in (*self.supports, *self.obstacles)]
+        tool = [
+            (i, j, near.gripper if j in robot.obstacles else near.self_collision)
+            for i in self.gripper
+            for j in before_tip
+        ]
+        if phase is Phase.HOME:
+            return [*self._links(), *((i, j, 0.0) for i, j, _ in (*arm, *gripper)), *tool]
+        pairs = [*arm, *gripper, *tool, *self._links()]
+        if phase is Phase.MOVE:
+            pairs += [(i, self.object, 0.0) for i in self.gripper]
+        if phase in (Phase.LIFT, Phase.CARRY):
+            pairs += [(self.object, i, near.arm if self.bodies[i].joint else near.gripper) for i in before_tip]
+            pairs += [(self.object, i, near.gripper) for i in self.obstacles]
+        if phase is Phase.CARRY:
+            pairs += [(self.object, i, near.gripper) for i in self.supports]
+        return pairs
+
+    def _links(self) -> list[Pair]:
+        own, near = self._robot.obstacles, self.workcell.clearance
+        return [
+            (j, i, near.arm) if i in own else (i, j, near.arm if j in own else near.self_collision)
+            for i, j in self._robot.self_collision_pairs()
+        ]
+
+
+def collision_at_home(workcell: Workcell) -> tuple[str, str] | None:
+    """Return the names of two bodies that collide while the robot rests at home, the jaw wide open, or None."""
+    world, arm = CollisionWorld(workcell), workcell.arm
+    frames = [np.eye(4), *arm.T_world_base @ arm.robot.link_transforms(arm.robot.home)]
+    poses = [body.pose for body in world.bodies]
+    for i, T in zip(world.fingers, world.finger_poses(arm.end_effector.max_opening), strict=True):
+        poses[i] = T
+    placed = [(Solid(body.geometry), frames[body.joint] @ T) for body, T in zip(world.bodies, poses, strict=True)]
+    for i, j, clearance in world.pairs(Phase.HOME):
+        (a, T_a), (b, T_b) = placed[i], placed[j]
+        if distance(a, b, T_a, T_b) <= clearance:
+            return world.bodies[i].label, world.bodies[j].label
+    return None
