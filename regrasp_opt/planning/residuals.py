@@ -3,8 +3,8 @@
 Forward kinematics come from Pinocchio's own algorithm on the robot's URDF model, distances from one `coal.distance`
 call for each pair of bodies, with the fingers where they stand at the grasp width and at the width they approach
 with. The planner uses inverse kinematics, swept fingers and batched collision tests instead. Every claimed grasp is
-held against the object (`regrasp_opt.grasps.holding`). The bodies themselves, and which links are neighbours, are the
-problem's. A plan's cost is a record and is not recomputed.
+held against the object (`regrasp_opt.grasps.holding`). Which bodies there are, which of them may touch, and the
+clearances of all others come from the same `CollisionWorld`. A plan's cost is a record and is not recomputed.
 """
 
 from __future__ import annotations

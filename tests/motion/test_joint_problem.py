@@ -137,15 +137,12 @@ def test_balls_bound_the_distance_to_a_box_from_below():
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = Rotation.random(rng=rng).as_matrix(), (0.1, 0.2, 0.3)
     box = Box("wall", np.array([0.1, 0.3, 0.2]), pose)
+    obstacle = Body("wall", "wall", 0, box.pose, shape_geometry(box))
     for _ in range(60):
         a, b = rng.uniform(-1, 1, (2, 3))
         length = float(np.linalg.norm(b - a))
-        found = min(
-            float(ca.DM(d))
-            for d in _to_obstacle(
-                Capsule("link", ca.DM(a), ca.DM(b), 0.05, length), Body("box", "box", 0, box.pose, shape_geometry(box))
-            )
-        )
+        capsule = Capsule("link", ca.DM(a), ca.DM(b), 0.05, length)
+        found = min(float(ca.DM(d)) for d in _to_obstacle(capsule, obstacle))
         R = Rotation.align_vectors([(b - a) / length], [[0, 0, 1]])[0].as_matrix()
         body = coal.Capsule(0.05, length), coal.Transform3s(R, (a + b) / 2)
         wall = coal.Box(*box.size), coal.Transform3s(pose[:3, :3], pose[:3, 3])
