@@ -106,7 +106,7 @@ def measure_variant(
 ) -> list[Row]:
     """Return one row with the held-out figures of `model`, and one row for each pair."""
     variant = VARIANTS[label]
-    problem = resident(_with_grasps(problem, variant.grasps))
+    problem = resident(replace(problem, grasps=problem.grasps.subset(np.arange(len(problem.grasps))[: variant.grasps])))
     energy = GraspEnergy(model, problem.grasps)
     held_out = model.metadata["held_out"]
     rows: list[Row] = [{"ap": held_out["average_precision"], "shared_f1": held_out["shared_f1"]}]
@@ -141,12 +141,6 @@ def _measure(problem: RegraspProblem, task: OneStepTask, variant: Variant, strea
         "solve_ms": 1e3 * seconds / len(starts),
         "gain": float((starts.cost - refined.candidates.cost).mean()),
     }
-
-
-def _with_grasps(problem: RegraspProblem, count: int | None) -> RegraspProblem:
-    if count is None or count >= len(problem.grasps):
-        return problem
-    return replace(problem, grasps=problem.grasps.subset(np.arange(count)))
 
 
 def _table(rows: list[Row], name: str) -> Table:

@@ -6,7 +6,7 @@ import html
 import json
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -94,10 +94,7 @@ def write_report(report: Report, folder: Path) -> dict[str, Any]:
         "instances": report.instances,
         "rows": len(report.rows),
         "errors": [{key: row[key] for key in row if row[key] is not None} for row in report.errors],
-        "tables": [
-            {"title": t.title, "columns": list(t.columns), "rows": [list(row) for row in t.rows], "note": t.note}
-            for t in report.tables
-        ],
+        "tables": [asdict(table) for table in report.tables],
         "conclusion": report.conclusion,
         "command": report.command or f"regrasp-opt bench {report.name}",
     }

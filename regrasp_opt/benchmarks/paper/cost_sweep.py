@@ -143,18 +143,14 @@ def sweep_poses(problem: RegraspProblem, instance: Instance) -> FloatArray:
 
 
 def _sum_table(rows: list[Row], names: list[str]) -> Table:
-    keys = {
-        "AP start": "ap_start",
-        "AP goal": "ap_goal",
-        "AP shared": "ap_shared",
-        "best F1 shared": "f1_shared",
-        "F1 at h": "f1_at_h",
-    }
+    titles = ("AP start", "AP goal", "AP shared", "best F1 shared", "F1 at h")
+    keys = ("ap_start", "ap_goal", "ap_shared", "f1_shared", "f1_at_h")
+    averages = {title: tables.average(key, 3) for title, key in zip(titles, keys, strict=True)}
     return tables.summary(
         "Summed energies against exact shared grasps",
         ("object",),
         tables.by_object([row for row in rows if "ap_shared" in row], names),
-        {"pairs": len, **{title: tables.average(key, 3) for title, key in keys.items()}},
+        {"pairs": len, **averages},
         "Average precision of ranking all grasps by energy, mean over pairs with at least one shared grasp.",
     )
 

@@ -6,15 +6,13 @@ from collections.abc import Hashable
 from dataclasses import replace
 
 from regrasp_opt.benchmarks.harness import tables
-from regrasp_opt.benchmarks.harness.experiment import run_experiment
+from regrasp_opt.benchmarks.harness.experiment import pair_item, run_experiment
 from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
 from regrasp_opt.benchmarks.harness.planners import plan_row
 from regrasp_opt.benchmarks.harness.report import Cell, Figure, Report, Table
 from regrasp_opt.benchmarks.harness.runner import Item, Row
 from regrasp_opt.benchmarks.harness.session import Session
-from regrasp_opt.benchmarks.harness.subjects import planning_key
 from regrasp_opt.benchmarks.paper.published import MULTI_STEP, PAPER_OBJECT
-from regrasp_opt.files import content_hash
 from regrasp_opt.planning import Recipe, RegraspProblem
 from regrasp_opt.planning.recipes import RECIPES, paper_recipe
 from regrasp_opt.solvers import NlpRefiner
@@ -68,16 +66,12 @@ def _items(name: str, problem: RegraspProblem, instance: Instance, seed: int, co
     work += [("ours, threshold", k, problem, threshold_recipe(k)) for k in K_TOP]
     if compare:
         work += [("paper's method", k, paper, paper_recipe(k)) for k in K_TOP]
-    depends = content_hash(planning_key(problem), instances_hash([instance]), seed, TIME_LIMIT)
+    end = seed, TIME_LIMIT
     return [
-        Item(
-            f"{instance.name}/{planner}/{k_top}",
-            depends,
-            plan_row,
-            (replace(used), instance, recipe, seed, TIME_LIMIT),
-            {"object": name, "pair": instance.name, "planner": planner, "k_top": k_top},
+        pair_item(
+            name, used, instance, plan_row, recipe, *end, label=f"/{planner}/{k}", depends=end, planner=planner, k_top=k
         )
-        for planner, k_top, used, recipe in work
+        for planner, k, used, recipe in work
     ]
 
 

@@ -23,12 +23,11 @@ from regrasp_opt.benchmarks.harness.oracle import Oracle
 from regrasp_opt.benchmarks.harness.report import Figure, Report, Table, percent
 from regrasp_opt.benchmarks.harness.runner import Item, Row
 from regrasp_opt.benchmarks.harness.session import Session
-from regrasp_opt.benchmarks.harness.subjects import problem_key, resident
+from regrasp_opt.benchmarks.harness.subjects import resident
 from regrasp_opt.benchmarks.paper.published import ONE_STEP, PAPER_OBJECT
 from regrasp_opt.connectivity import CostOptions
 from regrasp_opt.connectivity.costs import CostVariant
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
-from regrasp_opt.files import content_hash
 from regrasp_opt.grasps import sample_grasps
 from regrasp_opt.planning import RegraspProblem
 
@@ -112,14 +111,13 @@ def _items(
     pictured: bool,
 ) -> list[Item]:
     """Return the work on one pair: what the grid says about it, and every method."""
-    columns: Row = {"object": name, "pair": instance.name}
     start, goal = (problem.feasible_grasps(T) for T in (instance.start, instance.goal))
     valid = oracle.one_step(start, goal)
     shown = np.flatnonzero(valid & pictured)[:: max(1, int(valid.sum()) // PICTURED_POSES)]
     poses = _pose_rows(oracle.placements[shown], oracle.xi[shown], valid[shown])
     grid_rows: list[Row] = [{"share": float(valid.mean())}, *poses]
-    key = content_hash(problem_key(problem), instances_hash([instance]), oracle.xi, pictured)
-    items = [Item(f"{instance.name}/grid", key, _as_they_are, (grid_rows,), {**columns, "method": "grid"})]
+    depends = oracle.xi, pictured
+    items = [pair_item(name, problem, instance, _as_they_are, grid_rows, label="/grid", depends=depends, method="grid")]
     for method in methods:
         tested = replace(problem, preset=METHODS[method][0])
         arguments = method, seed, PER_PLACEMENT, pictured
@@ -138,7 +136,7 @@ def _items(
     return items
 
 
-def _as_they_are(rows: list[Row]) -> list[Row]:
+def _as_they_are(problem: RegraspProblem, instance: Instance, rows: list[Row]) -> list[Row]:
     return rows
 
 
