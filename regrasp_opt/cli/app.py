@@ -149,23 +149,12 @@ def plan(
 
     regrasp-opt plan --object part.stl --workcell my-cell.toml --html plan.html
     """
-    from regrasp_opt.cli.plan import PlanRequest, run_plan
+    from regrasp_opt.cli.plan import run_plan
+    from regrasp_opt.planning import RegraspProblem
 
-    request = PlanRequest(
-        object,
-        workcell,
-        end_effector,
-        start,
-        goal,
-        refiner,
-        seed,
-        max_regrasps,
-        time_limit,
-        model,
-        scale,
-        repair,
-    )
-    return run_plan(request, out=out, html=html, as_json=json)
+    problem = RegraspProblem.load(object, workcell, end_effector=end_effector, model=model, scale=scale, repair=repair)
+    search = {"refiner": refiner, "max_regrasps": max_regrasps, "seed": seed, "time_limit": time_limit}
+    return run_plan(problem, start, goal, search, out=out, html=html, as_json=json)
 
 
 @app.command()
@@ -191,10 +180,12 @@ def prepare(
     regrasp-opt prepare part.stl --workcell nova2-w
     """
     interrupts.resumable()
-    from regrasp_opt.cli.prepare import PrepareRequest, run_prepare
+    from regrasp_opt.cli.prepare import run_prepare
+    from regrasp_opt.objects import load_object
+    from regrasp_opt.scene import load_workcell
 
-    request = PrepareRequest(object, workcell, end_effector, samples, grasps, seed, jobs, scale, repair, out)
-    return run_prepare(request, as_json=json)
+    subject = load_object(object, scale=scale, repair=repair), load_workcell(workcell, end_effector=end_effector)
+    return run_prepare(*subject, json, samples=samples, num_grasps=grasps, out=out, seed=seed, jobs=jobs)
 
 
 @app.command()
@@ -220,9 +211,12 @@ def inspect(
 
     regrasp-opt inspect --object part.stl --workcell my-cell.toml --html cell.html
     """
-    from regrasp_opt.cli.inspect import InspectRequest, run_inspect
+    from regrasp_opt.cli.inspect import run_inspect
 
-    return run_inspect(InspectRequest(workcell, object, end_effector, scale, repair), html=html, as_json=json)
+    if html is not None or (workcell is None and object is None):
+        workcell, object = workcell or "nova2-w", object or "bottle"
+    mesh, cell = {"scale": scale, "repair": repair}, {"end_effector": end_effector}
+    return run_inspect(workcell, object, mesh, cell, html=html, as_json=json)
 
 
 @app.command()
@@ -297,9 +291,9 @@ def show(
 
     regrasp-opt show plan.json --candidates ipopt --html candidates.html --plots plots
     """
-    from regrasp_opt.cli.show import ShowRequest, run_show
+    from regrasp_opt.cli.show import run_show
 
-    return run_show(ShowRequest(plan, motion, candidates, html, plots, port), as_json=json)
+    return run_show(plan, motion, candidates, html=html, plots=plots, port=port, as_json=json)
 
 
 @app.command()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,32 +25,27 @@ from regrasp_opt.planning.inspection import (
 from regrasp_opt.scene import Workcell, load_workcell
 
 
-@dataclass(frozen=True)
-class InspectRequest:
-    """The options of `regrasp-opt inspect`; with neither workcell nor object the built-in ones are inspected."""
-
-    workcell: str | None
-    object: str | None
-    end_effector: str | None
-    scale: float
-    repair: bool
-
-
-def run_inspect(request: InspectRequest, *, html: Path | None, as_json: bool) -> int:
+def run_inspect(
+    cell_name: str | None,
+    object_name: str | None,
+    mesh: dict[str, Any],
+    cell: dict[str, Any],
+    *,
+    html: Path | None,
+    as_json: bool,
+) -> int:
     """Print what was understood of the workcell, the object and the grasps of both; return 0.
 
-    A workcell that is refused because the arm collides at home is described before the error is raised.
+    `mesh` and `cell` are options of `load_object` and `load_workcell`. A workcell that is refused because the arm
+    collides at home is described before the error is raised.
     """
-    cell_name, object_name = request.workcell, request.object
-    if html is not None or (cell_name is None and object_name is None):
-        cell_name, object_name = cell_name or "nova2-w", object_name or "bottle"
     workcell, refused = None, None
     if cell_name is not None:
         try:
-            workcell = load_workcell(cell_name, end_effector=request.end_effector)
+            workcell = load_workcell(cell_name, **cell)
         except HomeCollisionError as error:
             workcell, refused = error.workcell, error
-    model = None if object_name is None else load_object(object_name, scale=request.scale, repair=request.repair)
+    model = None if object_name is None else load_object(object_name, **mesh)
     problem = _problem(model, workcell)
     data = {
         "workcell": None if workcell is None else describe_workcell(workcell),

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import logging
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.markup import escape
@@ -22,48 +22,23 @@ from regrasp_opt.planning.tasks import Task, random_task
 logger = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class PlanRequest:
-    """The options of `regrasp-opt plan`."""
-
-    object: str
-    workcell: str
-    end_effector: str | None
-    start: str | None
-    goal: str | None
-    refiner: str
-    seed: int
-    max_regrasps: int
-    time_limit: float | None
-    model: Path | None
-    scale: float
-    repair: bool
-
-
-def run_plan(request: PlanRequest, *, out: Path | None, html: Path | None, as_json: bool) -> int:
-    """Plan, print and save; return 0 if solved, else 1."""
-    problem = RegraspProblem.load(
-        request.object,
-        request.workcell,
-        end_effector=request.end_effector,
-        model=request.model,
-        scale=request.scale,
-        repair=request.repair,
-    )
+def run_plan(
+    problem: RegraspProblem,
+    start: str | None,
+    goal: str | None,
+    search: dict[str, Any],
+    *,
+    out: Path | None,
+    html: Path | None,
+    as_json: bool,
+) -> int:
+    """Plan with the options `search` of `solve_sequence`, print and save; return 0 if solved, else 1."""
     logger.info(
         "%d grasps, %d placements, model %s", len(problem.grasps), len(problem.placements), problem.model_folder
     )
-    with working(f"planning up to {request.max_regrasps} regrasp(s)", request.time_limit):
-        task = _task(request, problem)
-        plan = solve_sequence(
-            problem,
-            task.start,
-            task.goal,
-            request.refiner,
-            max_regrasps=request.max_regrasps,
-            seed=request.seed,
-            time_limit=request.time_limit,
-        )
+    with working(f"planning up to {search['max_regrasps']} regrasp(s)", search["time_limit"]):
+        task = _task(problem, start, goal, search["seed"])
+        plan = solve_sequence(problem, task.start, task.goal, **search)
     for tried in plan.refiner_stats:
         logger.info("tried %s", ", ".join(f"{key} {value}" for key, value in tried.items()))
     logger.info("%s; seconds: %s", plan.status.name.lower(), {k: round(v, 3) for k, v in plan.timings.items()})
@@ -80,18 +55,18 @@ def run_plan(request: PlanRequest, *, out: Path | None, html: Path | None, as_js
     return 0 if plan.solved else 1
 
 
-def _task(request: PlanRequest, problem: RegraspProblem) -> Task:
-    ends = {
-        name: None if text is None else parse_pose(text, name, problem.placement_poses)
-        for name, text in (("start", request.start), ("goal", request.goal))
-    }
-    if ends["start"] is not None and ends["goal"] is not None:
-        return Task(ends["start"], ends["goal"], -1)
-    rng = np.random.default_rng(as_seed(request.seed))
+def _task(problem: RegraspProblem, start: str | None, goal: str | None, seed: int) -> Task:
+    T_start, T_goal = (
+        None if text is None else parse_pose(text, name, problem.placement_poses)
+        for name, text in (("start", start), ("goal", goal))
+    )
+    if T_start is not None and T_goal is not None:
+        return Task(T_start, T_goal, -1)
+    rng = np.random.default_rng(as_seed(seed))
     try:
-        return random_task(problem, rng, start=ends["start"], goal=ends["goal"], needs_regrasp=True)
+        return random_task(problem, rng, start=T_start, goal=T_goal, needs_regrasp=True)
     except RegraspError:
-        return random_task(problem, rng, start=ends["start"], goal=ends["goal"])
+        return random_task(problem, rng, start=T_start, goal=T_goal)
 
 
 def _print(plan: RegraspPlan, written: list[Path]) -> None:

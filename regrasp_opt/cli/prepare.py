@@ -4,41 +4,22 @@ from __future__ import annotations
 
 import json
 import logging
-from dataclasses import dataclass
-from pathlib import Path
+from typing import Any
 
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from regrasp_opt.cli.output import make_console
-from regrasp_opt.objects import load_object
+from regrasp_opt.objects import ObjectModel
 from regrasp_opt.planning.prepare import prepare
-from regrasp_opt.scene import load_workcell
+from regrasp_opt.scene import Workcell
 
 logger = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class PrepareRequest:
-    """The options of `regrasp-opt prepare`."""
-
-    object: str
-    workcell: str
-    end_effector: str | None
-    samples: int
-    grasps: int
-    seed: int
-    jobs: int
-    scale: float
-    repair: bool
-    out: Path | None
-
-
-def run_prepare(request: PrepareRequest, *, as_json: bool) -> int:
-    """Prepare a model, with progress on a terminal; return 0."""
-    model = load_object(request.object, scale=request.scale, repair=request.repair)
-    workcell = load_workcell(request.workcell, end_effector=request.end_effector)
+def run_prepare(model: ObjectModel, workcell: Workcell, as_json: bool, **options: Any) -> int:
+    """Prepare a model with the `options` of `prepare`, with progress on a terminal; return 0."""
     errors = make_console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=errors, disable=not errors.is_terminal, transient=True) as bar:
@@ -49,16 +30,7 @@ def run_prepare(request: PrepareRequest, *, as_json: bool) -> int:
                 rows[what] = int(bar.add_task(what, total=total))
             bar.update(rows[what], completed=done, total=total)  # type: ignore[arg-type]
 
-        folder, report = prepare(
-            model,
-            workcell,
-            samples=request.samples,
-            num_grasps=request.grasps,
-            out=request.out,
-            seed=request.seed,
-            jobs=request.jobs,
-            progress=show,
-        )
+        folder, report = prepare(model, workcell, progress=show, **options)
     logger.info("seconds: %s", {name: round(seconds, 2) for name, seconds in report["times"].items()})
     if as_json:
         print(json.dumps({"folder": str(folder), **report}))

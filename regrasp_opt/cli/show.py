@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,37 +17,34 @@ from regrasp_opt.viz import Track, trace_candidates, track_of, write_plan_page
 logger = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True)
-class ShowRequest:
-    """The options of `regrasp-opt show`."""
-
-    plan: Path
-    motion: Path | None
-    candidates: str | None
-    html: Path | None
-    plots: Path | None
-    port: int
-
-
-def run_show(request: ShowRequest, *, as_json: bool) -> int:
+def run_show(
+    file: Path,
+    motion: Path | None,
+    candidates: str | None,
+    *,
+    html: Path | None,
+    plots: Path | None,
+    port: int,
+    as_json: bool,
+) -> int:
     """Write the page and the plots that are asked for, or serve a live view until interrupted; return 0.
 
     With the file of a motion the slider runs over that. With the name of a refiner as `candidates` it plans once more
     and shows that refiner's candidates by iteration.
     """
-    plan = RegraspPlan.load(request.plan)
-    track = None if request.motion is None else _track(plan, request.plan, request.motion)
+    plan = RegraspPlan.load(file)
+    track = None if motion is None else _track(plan, file, motion)
     trace = None
-    if request.candidates is not None:
-        with working(f"planning again with {request.candidates}"):
-            trace = trace_candidates(plan, request.candidates)
+    if candidates is not None:
+        with working(f"planning again with {candidates}"):
+            trace = trace_candidates(plan, candidates)
         logger.info("%d candidates in %d frames", *trace.cost.T.shape)
-    if request.html is None and request.plots is None:
+    if html is None and plots is None:
         from regrasp_opt.viz.scene import plan_scene
         from regrasp_opt.viz.viewer import PlanViewer
 
         with working("drawing"):
-            viewer = PlanViewer(plan_scene(plan, track, trace), request.port)
+            viewer = PlanViewer(plan_scene(plan, track, trace), port)
         if as_json:
             print(json.dumps({"url": viewer.url}), flush=True)
         make_console(stderr=True).print(f"open {viewer.url} in a browser; end with Ctrl+C", soft_wrap=True)
@@ -57,20 +53,18 @@ def run_show(request: ShowRequest, *, as_json: bool) -> int:
         except KeyboardInterrupt:
             viewer.stop()
         return 0
-    plots: list[Path] = []
+    drawn: list[Path] = []
     with working("drawing"):
-        if request.html is not None:
-            write_plan_page(plan, request.html, track, trace)
-        if request.plots is not None:
+        if html is not None:
+            write_plan_page(plan, html, track, trace)
+        if plots is not None:
             from regrasp_opt.cli.plots import write_plan_plots
 
-            plots = write_plan_plots(plan, trace, request.plots)
-    written = [path for path in (request.html, *plots) if path is not None]
+            drawn = write_plan_plots(plan, trace, plots)
     if as_json:
-        html = None if request.html is None else str(request.html)
-        print(json.dumps({"html": html, "plots": [str(path) for path in plots]}))
+        print(json.dumps({"html": None if html is None else str(html), "plots": [str(path) for path in drawn]}))
         return 0
-    for path in written:
+    for path in ([] if html is None else [html]) + drawn:
         make_console().print(f"written: {path}", markup=False, soft_wrap=True)
     return 0
 
