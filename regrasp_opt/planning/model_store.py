@@ -15,20 +15,15 @@ from typing import Any
 from regrasp_opt.energy.model import EnergyModel
 from regrasp_opt.energy.storage import load_energy
 from regrasp_opt.errors import ModelError
-from regrasp_opt.files import atomic_path, content_hash, data_home
+from regrasp_opt.files import atomic_path, data_home
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel
+from regrasp_opt.planning.model_key import FORMAT, ModelKey
 from regrasp_opt.scene import Workcell
 
 GRASPS_FILE = "grasps.npz"
 ENERGY_FILES = {"default": "energy.safetensors", "paper": "energy-paper.safetensors"}
 REPORT_FILE = "report.json"
-FORMAT = 1
-
-
-def model_key(model: ObjectModel, workcell: Workcell) -> str:
-    """Return the hash of everything that a prepared model depends on."""
-    return content_hash("model", FORMAT, model.fingerprint(), workcell.fingerprint())[:32]
 
 
 def bundled_models() -> Path:
@@ -38,7 +33,7 @@ def bundled_models() -> Path:
 
 def default_folder(model: ObjectModel, workcell: Workcell) -> Path:
     """Return where `prepare` puts a model unless told otherwise."""
-    return data_home() / "models" / model_key(model, workcell)
+    return data_home() / "models" / ModelKey.of(model, workcell).id
 
 
 def find_model(model: ObjectModel, workcell: Workcell, folder: Path | None = None) -> Path | None:
@@ -54,16 +49,18 @@ def find_model(model: ObjectModel, workcell: Workcell, folder: Path | None = Non
     ModelError
         If `folder`, or a folder that should hold the model, is broken or was made for something else.
     """
-    key = model_key(model, workcell)
+    key = ModelKey.of(model, workcell)
     if folder is not None:
-        if read_report(folder)["key"] != key:
+        report = read_report(folder)
+        if report["key"] != key.id:
+            other = " and ".join(key.differing(report)) or "object or workcell"
             raise ModelError(
-                f"the model in '{folder}' was prepared for another object or workcell than '{model.name}' in "
+                f"the model in '{folder}' was prepared for another {other} than '{model.name}' in "
                 f"'{workcell.name}'; prepare one for these"
             )
         return folder
     for candidate in (bundled_models() / f"{model.name}-{workcell.name}", default_folder(model, workcell)):
-        if (candidate / REPORT_FILE).is_file() and read_report(candidate)["key"] == key:
+        if (candidate / REPORT_FILE).is_file() and read_report(candidate)["key"] == key.id:
             return candidate
     return None
 
@@ -84,7 +81,7 @@ def read_report(folder: Path) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise ModelError(f"'{path}' is corrupt; delete the folder and run 'regrasp-opt prepare' again") from error
     if not isinstance(report, dict) or report.get("format") != FORMAT or "key" not in report:
-        raise ModelError(f"'{path}' is no model report of format {FORMAT}; run 'regrasp-opt prepare' again")
+        raise ModelError(f"'{path}' is not a model report of format {FORMAT}; run 'regrasp-opt prepare' again")
     return report
 
 
@@ -103,7 +100,7 @@ def load_prepared_grasps(folder: Path) -> GraspSet:
 
 
 def load_prepared_energy(folder: Path, preset: str, key: str) -> EnergyModel:
-    """Return the energy of `preset` in `folder`, which must have been trained under the model key `key`.
+    """Return the energy of `preset` in `folder`, which must have been trained for the `ModelKey` of id `key`.
 
     Raises
     ------

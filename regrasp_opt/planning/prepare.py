@@ -32,12 +32,12 @@ from regrasp_opt.feasibility.dataset import (
 from regrasp_opt.files import data_home, replaced_folder
 from regrasp_opt.grasps import GraspSet, sample_grasps
 from regrasp_opt.objects import ObjectModel
+from regrasp_opt.planning.model_key import ModelKey
 from regrasp_opt.planning.model_store import (
     ENERGY_FILES,
     GRASPS_FILE,
     command_arguments,
     default_folder,
-    model_key,
     write_report,
 )
 from regrasp_opt.scene import Workcell
@@ -59,7 +59,7 @@ def prepare(
     jobs: int = -1,
     progress: Progress | None = None,
 ) -> tuple[Path, dict[str, Any]]:
-    """Make and store everything that planning with `model` in `workcell` needs.
+    """Make and store what planning with `model` in `workcell` needs.
 
     Parameters
     ----------
@@ -80,8 +80,7 @@ def prepare(
     -------
     folder : Path
     report : dict
-        Counts, times [s], and average precision, AUROC, F1 and reliability on held-out
-        poses of our energy and of the paper's preset.
+        Counts, times [s], and average precision, AUROC, F1 and reliability of both energies on held-out poses.
 
     Raises
     ------
@@ -92,45 +91,27 @@ def prepare(
     OptionError
         For fewer than 100 samples, no grasps, or no workers.
     """
-    if samples < 100 or num_grasps < 1:
-        raise OptionError(f"samples is {samples} and num_grasps {num_grasps}; give at least 100 and 1")
-    if jobs == 0:
-        raise OptionError("jobs is 0; give a number of worker processes, or -1 for all cores")
-    if not model.placements:
-        raise GraspError(f"'{model.name}' has no stable placement on a table; check the mesh's shape and scale")
+    _check(model, samples, num_grasps, jobs)
     seed = as_seed(seed)
     tell = progress or (lambda *_: None)
-    folder = default_folder(model, workcell) if out is None else Path(out)
-    times: dict[str, float] = {}
-
-    began = time.perf_counter()
+    began = [time.perf_counter()]
     tell("sampling grasps", 0, 1)
     grasps = sample_grasps(model, workcell.arm.end_effector, num_grasps, seed=seed)
-    times["grasps"] = time.perf_counter() - began
-
-    began = time.perf_counter()
+    began.append(time.perf_counter())
     lift = translation(0.0, 0.0, workcell.table.height)
     placements = np.array([lift @ p.pose for p in model.placements])
     task = LabellingTask(model, workcell, grasps, placements, seed)
-    pairs = label_pairs(
-        task, samples, folder=data_home() / "labels", jobs=jobs, progress=lambda n, of: tell("labelling", n, of)
-    )
+    labels = data_home() / "labels"
+    pairs = label_pairs(task, samples, folder=labels, jobs=jobs, progress=lambda n, of: tell("labelling", n, of))
     held_out = label_poses(task, HELD_OUT_POSES, jobs=jobs)
-    times["labelling"] = time.perf_counter() - began
+    began.append(time.perf_counter())
+    energies = _train_presets(pairs, held_out, grasps, seed, jobs, tell)
+    began.append(time.perf_counter())
 
-    began = time.perf_counter()
-    tell("training", 0, len(PRESETS))
-    energies: dict[str, EnergyModel] = {}
-    with workers(min(len(PRESETS), joblib.effective_n_jobs(jobs)), "generator") as parallel:
-        work = (joblib.delayed(_train_and_calibrate)(pairs, held_out, grasps, name, seed) for name in PRESETS)
-        for name, energy in zip(PRESETS, parallel(work), strict=True):
-            energies[name] = energy
-            tell("training", len(energies), len(PRESETS))
-    times["training"] = time.perf_counter() - began
-
-    key = model_key(model, workcell)
+    key = ModelKey.of(model, workcell)
     report = {
-        "key": key,
+        "key": key.id,
+        "made_for": key.parts(),
         "grasps_fingerprint": grasps.fingerprint(),
         "command": f"regrasp-opt prepare {command_arguments(model, workcell)} --samples {samples} "
         f"--grasps {num_grasps} --seed {seed}",
@@ -143,15 +124,43 @@ def prepare(
         "feasible_pairs": int(pairs.feasible.sum()),
         "held_out": {name: energy.metadata["held_out"] for name, energy in energies.items()},
         "threshold": {name: energy.threshold for name, energy in energies.items()},
-        "times": times,
+        "times": dict(zip(("grasps", "labelling", "training"), np.diff(began).tolist(), strict=True)),
     }
+    folder = default_folder(model, workcell) if out is None else Path(out)
+    return _store(folder, grasps, energies, report), report
+
+
+def _check(model: ObjectModel, samples: int, num_grasps: int, jobs: int) -> None:
+    if samples < 100 or num_grasps < 1:
+        raise OptionError(f"samples is {samples} and num_grasps {num_grasps}; give at least 100 and 1")
+    if jobs == 0:
+        raise OptionError("jobs is 0; give a number of worker processes, or -1 for all cores")
+    if not model.placements:
+        raise GraspError(f"'{model.name}' has no stable placement on a table; check the mesh's shape and scale")
+
+
+def _store(folder: Path, grasps: GraspSet, energies: dict[str, EnergyModel], report: dict[str, Any]) -> Path:
+    trained_for = {"key": report["key"], "grasps": report["grasps_fingerprint"]}
     with replaced_folder(folder) as fresh:
         grasps.save(fresh / GRASPS_FILE)
         for name, energy in energies.items():
-            stamped = replace(energy, metadata={**energy.metadata, "key": key, "grasps": grasps.fingerprint()})
+            stamped = replace(energy, metadata={**energy.metadata, **trained_for})
             save_energy(stamped, fresh / ENERGY_FILES[name])
         write_report(fresh, report)
-    return folder, report
+    return folder
+
+
+def _train_presets(
+    pairs: LabelledPairs, held_out: LabelledPoses, grasps: GraspSet, seed: int, jobs: int, tell: Progress
+) -> dict[str, EnergyModel]:
+    tell("training", 0, len(PRESETS))
+    energies: dict[str, EnergyModel] = {}
+    with workers(min(len(PRESETS), joblib.effective_n_jobs(jobs)), "generator") as parallel:
+        work = (joblib.delayed(_train_and_calibrate)(pairs, held_out, grasps, name, seed) for name in PRESETS)
+        for name, energy in zip(PRESETS, parallel(work), strict=True):
+            energies[name] = energy
+            tell("training", len(energies), len(PRESETS))
+    return energies
 
 
 def _train_and_calibrate(

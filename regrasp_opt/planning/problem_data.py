@@ -18,7 +18,8 @@ from regrasp_opt.feasibility.tabletop import points_in_table
 from regrasp_opt.files import data_home
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel, Placement
-from regrasp_opt.planning.model_store import command_arguments, load_prepared_energy, model_key
+from regrasp_opt.planning.model_key import ModelKey
+from regrasp_opt.planning.model_store import command_arguments, load_prepared_energy
 from regrasp_opt.scene import Workcell
 from regrasp_opt.solvers import PoseLattice
 
@@ -59,7 +60,7 @@ class ProblemData:
                 f"no model was prepared for '{self.object.name}' in workcell '{self.workcell.name}'; run "
                 f"'regrasp-opt prepare {command_arguments(self.object, self.workcell)}'"
             )
-        model = load_prepared_energy(self.model_folder, self.preset, model_key(self.object, self.workcell))
+        model = load_prepared_energy(self.model_folder, self.preset, ModelKey.of(self.object, self.workcell).id)
         return ProblemEnergy(model, self.grasps, self.placement_poses)
 
     @cached_property

@@ -3,15 +3,20 @@
 import json
 import shutil
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from regrasp_opt import RegraspProblem, load_object, load_workcell, prepare, solve_sequence
+from regrasp_opt.conventions import translation
 from regrasp_opt.errors import GraspError, ModelError, OptionError, RegraspError
+from regrasp_opt.geometry.shapes import Box
 from regrasp_opt.planning import prepare as prepare_module
-from regrasp_opt.planning.model_store import bundled_models
+from regrasp_opt.planning.model_key import ModelKey
+from regrasp_opt.planning.model_store import bundled_models, find_model
 from regrasp_opt.planning.tasks import random_task
+from regrasp_opt.scene import Clearance, WorkspaceBounds
 
 FILES = {"grasps.npz", "energy.safetensors", "energy-paper.safetensors", "report.json"}
 SMALL = {"samples": 300, "num_grasps": 25, "jobs": 1}
@@ -171,10 +176,42 @@ def test_a_folder_that_is_none_is_refused(tmp_path):
     assert "holds no prepared model" in refusal(tmp_path / "nothing")
 
 
-@pytest.mark.parametrize("other", [("mug", "nova2-w"), ("pentagon", "nova2-r140")])
-def test_a_model_of_something_else_is_refused(prepared, other):
-    with pytest.raises(ModelError, match="was prepared for another object or workcell"):
-        RegraspProblem.load(*other, model=prepared[0])
+@pytest.mark.parametrize(
+    ("other", "said"), [(("mug", "nova2-w"), "object"), (("pentagon", "nova2-r140"), "end-effector")]
+)
+def test_a_model_of_something_else_is_refused(copied, other, said):
+    with pytest.raises(ModelError, match=f"was prepared for another {said} than"):
+        RegraspProblem.load(*other, model=copied)
+    report = json.loads((copied / "report.json").read_text("utf-8"))
+    for made_for in (None, 3):  # as if written before reports had it, and damaged
+        (copied / "report.json").write_text(json.dumps(report | {"made_for": made_for}), encoding="utf-8")
+        with pytest.raises(ModelError, match="was prepared for another object or workcell than"):
+            RegraspProblem.load(*other, model=copied)
+        assert load(copied).model_folder == copied
+
+
+def test_a_key_tells_the_arm_from_its_scene():
+    body, cell = load_object("bottle"), load_workcell("nova2-w")
+    key = ModelKey.of(body, cell)
+    box = Box("box", np.full(3, 0.1), translation(0.4, 0.6, 0.05))
+    others = {
+        "surroundings": cell.with_obstacles([box]),
+        "workspace": replace(cell, bounds=WorkspaceBounds((-0.3, 0.3), (0.2, 0.5))),
+        "clearance": replace(cell, clearance=Clearance(arm=0.01)),
+        "mounting": replace(cell, arm=replace(cell.arm, T_world_base=translation(0.0, 0.0, 0.01))),
+        "end-effector": load_workcell("nova2-w", end_effector="r85"),
+    }
+    for part, other in others.items():
+        assert key.differing({"made_for": ModelKey.of(body, other).parts()}) == [part]
+    assert ModelKey.of(load_object("mug"), cell).differing({"made_for": key.parts()}) == ["object"]
+
+
+@pytest.mark.parametrize("name", ["bottle", "mug", "pentagon", "figurine"])
+def test_bundled_models_tell_what_they_were_made_for(name):
+    report = json.loads((bundled_models() / f"{name}-nova2-w" / "report.json").read_text("utf-8"))
+    key = ModelKey.of(load_object(name), load_workcell("nova2-w"))
+    assert report["key"] == key.id and report["made_for"] == key.parts()
+    assert find_model(load_object(name), load_workcell("nova2-w")) == bundled_models() / f"{name}-nova2-w"
 
 
 def test_files_of_another_model_are_refused(copied):
