@@ -133,6 +133,15 @@ def translation(x: float, y: float, z: float) -> FloatArray:
     return T
 
 
+def rpy_angles(R: ArrayLike) -> FloatArray:
+    """Return URDF's roll, pitch and yaw (3,) [rad] of a rotation (3, 3), at pitches of +-pi/2 with some yaw."""
+    R = np.asarray(R, dtype=np.float64)
+    yaw = np.arctan2(R[1, 0], R[0, 0])
+    c, s = np.cos(yaw), np.sin(yaw)
+    pitch = np.arctan2(-R[2, 0], c * R[0, 0] + s * R[1, 0])
+    return np.array([np.arctan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1]), pitch, yaw])
+
+
 def rotation_rpy(roll: float, pitch: float, yaw: float) -> FloatArray:
     """Return the rotation (3, 3) of URDF roll-pitch-yaw angles [rad]: ``Rz(yaw) @ Ry(pitch) @ Rx(roll)``."""
     cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (np.cos, np.sin))

@@ -1,14 +1,16 @@
-"""TOML files read into pydantic schemas, and their errors as one sentence that names the key and what is allowed."""
+"""TOML and JSON files read into pydantic schemas, and their errors as one sentence: the key, and what is allowed."""
 
 from __future__ import annotations
 
 import difflib
+import json
 import sys
+from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from regrasp_opt.errors import WorkcellError
+from regrasp_opt.errors import PlanFileError, RegraspError, WorkcellError
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -17,12 +19,15 @@ else:
 
 
 class Section(BaseModel):
-    """A table of a file; unknown keys are errors."""
+    """A table of a file; unknown keys, NaN and infinity are errors."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 File = TypeVar("File", bound=Section)
+
+LONGEST_VALUE = 100
+"""Characters of a wrong value that a message shows; longer ones are left out."""
 
 
 def ascending(interval: tuple[float, float]) -> tuple[float, float]:
@@ -44,10 +49,31 @@ def read_toml(text: str, schema: type[File], where: str) -> File:
         data = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise WorkcellError(f"{where} is not valid TOML: {error}") from error
+    return validated(data, schema, where, WorkcellError)
+
+
+def read_json(path: Path, what: str) -> Any:
+    """Return the content of the JSON file `path`; `what` it should hold is named in errors.
+
+    Raises
+    ------
+    PlanFileError
+        If it cannot be read or is not JSON.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise PlanFileError(f"cannot read the {what} '{path}': {error.strerror or error}") from error
+    except (ValueError, RecursionError) as error:
+        raise PlanFileError(f"'{path}' is not valid JSON; it may be cut short: save the {what} again") from error
+
+
+def validated(data: Any, schema: type[File], where: str, error_type: type[RegraspError]) -> File:
+    """Return `data` as `schema`, or raise an `error_type` that begins with `where` and names the first wrong key."""
     try:
         return schema.model_validate(data)
     except ValidationError as error:
-        raise WorkcellError(f"{where}: {_described(error, schema)}") from error
+        raise error_type(f"{where}: {_described(error, schema)}") from error
 
 
 def _described(error: ValidationError, schema: type[BaseModel]) -> str:
@@ -71,6 +97,7 @@ def _described(error: ValidationError, schema: type[BaseModel]) -> str:
     message = problem["msg"].removeprefix("Value error, ").removeprefix("Input ")
     given = problem["input"]
     shown = f", not {given!r}" if isinstance(given, (str, int, float, list, tuple)) else ""
+    shown = shown if len(shown) < LONGEST_VALUE else ""
     return f"key '{key}': {message}{shown}" if key else message
 
 

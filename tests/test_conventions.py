@@ -96,3 +96,10 @@ def test_what_is_no_rigid_transform_is_refused(T, damage):
         wrong[3, 0] = 1e-6
     with pytest.raises(PoseError, match="the goal"):
         conventions.as_pose(wrong, "goal")
+
+
+@STEADY
+@given(angles, st.sampled_from([-1, 0, 1]), st.sampled_from([0.0, 1e-12, 1e-9, 1e-6, 0.3]), angles)
+def test_roll_pitch_and_yaw_undo_each_other_also_straight_up_and_down(roll, pole, away, yaw):
+    R = conventions.rotation_rpy(roll, pole * np.pi / 2 + away, yaw)
+    np.testing.assert_allclose(conventions.rotation_rpy(*conventions.rpy_angles(R)), R, rtol=0, atol=1e-14)

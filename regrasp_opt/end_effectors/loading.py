@@ -20,8 +20,8 @@ END_EFFECTOR_NAMES = ("w", "r140", "r85", "s1", "s2", "s3")
 """The built-in end-effectors: gripper W, Robotiq-140, Robotiq-85, suction cups S1, S2 and S3."""
 
 
-Positive = Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)]
-Coordinate = Annotated[float, Field(ge=-1, le=1, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, le=1)]
+Coordinate = Annotated[float, Field(ge=-1, le=1)]
 Interval = Annotated[tuple[Coordinate, Coordinate], AfterValidator(ascending)]
 
 

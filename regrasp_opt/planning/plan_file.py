@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
 from regrasp_opt.conventions import as_pose
 from regrasp_opt.errors import PlanFileError, PoseError
@@ -19,9 +19,13 @@ from regrasp_opt.objects import load_object
 from regrasp_opt.planning.model_store import find_model
 from regrasp_opt.planning.plan_data import PlanData, Status, Transition
 from regrasp_opt.planning.problem import RegraspProblem, assemble
-from regrasp_opt.scene import load_workcell
+from regrasp_opt.scene import Workcell, load_workcell
+from regrasp_opt.scene.record import Reference, SceneRecord, absolute, reference, scene_changes, scene_content
+from regrasp_opt.schemas import Section, read_json, validated
 
-SCHEMA = 1
+SCHEMA = 2
+NAMED = 3
+"""Changes of a workcell that a message names."""
 
 Row = list[float]
 Planar = Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -31,32 +35,48 @@ Number = Annotated[int, Field(ge=0, lt=2**31)]
 Plan = TypeVar("Plan", bound=PlanData)
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-
-class _Reference(_Record):
-    source: str
-    name: str
-    fingerprint: str
+class _Object(Reference):
     scale: float = 1.0
     repair: bool = False
+
+
+class _Workcell(SceneRecord):
+    source: str
+    name: str
+    end_effector: str | None
+
+    def load(self) -> Workcell:
+        cell = _load_workcell(self)
+        added = [obstacle.shape() for obstacle in self.obstacles if obstacle.added]
+        return cell.with_obstacles(added) if added else cell
+
+    def changes(self, cell: Workcell) -> list[str]:
+        return scene_changes(self, cell)
+
+
+class _Workcell1(Reference):
     end_effector: str | None = None
 
+    def load(self) -> Workcell:
+        return _load_workcell(self)
 
-class _Grasp(_Record):
+    def changes(self, cell: Workcell) -> list[str]:
+        return [] if cell.fingerprint() == self.fingerprint else ["a file of schema 1 does not tell what"]
+
+
+class _Grasp(Section):
     T_object_tcp: list[Row]
     width: Annotated[float, Field(ge=0)]
 
 
-class _Transition(_Record):
+class _Transition(Section):
     grasp_ids: list[Number]
     q_pick: list[Row]
     q_place: list[Row]
     clearance: list[float]
 
 
-class _File(_Record):
+class _File(Section):
     schema_: int = Field(alias="schema")
     status: str
     num_regrasps: int
@@ -68,9 +88,16 @@ class _File(_Record):
     xi: list[Planar]
     seed: int
     refiner_stats: list[dict[str, Any]]
-    object: _Reference
-    workcell: _Reference
+    object: _Object
+    workcell: _Workcell
     grasps: Annotated[list[_Grasp], Field(min_length=1)]
+
+
+class _File1(_File):
+    workcell: _Workcell1  # type: ignore[assignment]
+
+
+_SCHEMAS: dict[int, type[_File]] = {1: _File1, SCHEMA: _File}
 
 
 def plan_summary(plan: PlanData) -> dict[str, Any]:
@@ -105,18 +132,12 @@ def plan_content(plan: PlanData) -> dict[str, Any]:
         "xi": plan.xi.tolist(),
         "seed": plan.seed,
         "refiner_stats": plan.refiner_stats,
-        "object": {
-            "source": _absolute(body.source),
-            "name": body.name,
-            "fingerprint": body.fingerprint(),
-            "scale": body.scale,
-            "repair": body.repair,
-        },
+        "object": {**reference(body, body.source), "scale": body.scale, "repair": body.repair},
         "workcell": {
-            "source": _absolute(cell.source),
+            "source": absolute(cell.source),
             "name": cell.name,
-            "fingerprint": cell.fingerprint(),
             "end_effector": cell.end_effector_override,
+            **scene_content(cell),
         },
         "grasps": [
             {"T_object_tcp": T.tolist(), "width": float(w)}
@@ -156,44 +177,12 @@ def plan_from_content(raw: Any, path: Path, kind: type[Plan]) -> Plan:
     return plan
 
 
-def _absolute(source: str) -> str:
-    return source if source == "built-in" else str(Path(source).resolve())
-
-
-def read_json(path: Path, what: str) -> Any:
-    """Return the content of the JSON file `path`; `what` it should hold is named in errors.
-
-    Raises
-    ------
-    PlanFileError
-        If it cannot be read or is not JSON.
-    """
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise PlanFileError(f"cannot read the {what} '{path}': {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
-        raise PlanFileError(f"'{path}' is not valid JSON; it may be cut short: save the {what} again") from error
-
-
-Content = TypeVar("Content", bound=BaseModel)
-
-
-def validated(kind: type[Content], raw: Any, path: Path, advice: str) -> Content:
-    """Return `raw` as `kind`, or raise a PlanFileError that names the first wrong field and ends with `advice`."""
-    try:
-        return kind.model_validate(raw)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise PlanFileError(f"'{path}': the field '{where}' is wrong ({first['msg']}); {advice}") from error
-
-
 def _parse(raw: Any, path: Path) -> _File:
     version = raw.get("schema") if isinstance(raw, dict) else None
-    if version != SCHEMA:
-        raise PlanFileError(f"'{path}' has plan schema {version!r}; this version reads schema {SCHEMA}")
-    content = validated(_File, raw, path, "save the plan again")
+    if type(version) is not int or version not in _SCHEMAS:
+        known = " and ".join(map(str, _SCHEMAS))
+        raise PlanFileError(f"'{path}' has plan schema {version!r}; this version reads schemas {known}")
+    content = validated(raw, _SCHEMAS[version], f"'{path}'", PlanFileError)
     if content.status.upper() not in Status.__members__:
         known = ", ".join(name.lower() for name in Status.__members__)
         raise PlanFileError(f"'{path}': unknown status '{content.status}'; known: {known}")
@@ -201,21 +190,18 @@ def _parse(raw: Any, path: Path) -> _File:
 
 
 def _problem(content: _File, path: Path) -> RegraspProblem:
-    body_ref, cell_ref = content.object, content.workcell
-    body = load_object(
-        body_ref.name if body_ref.source == "built-in" else body_ref.source,
-        scale=body_ref.scale,
-        repair=body_ref.repair,
-    )
-    cell = load_workcell(
-        cell_ref.name if cell_ref.source == "built-in" else cell_ref.source,
-        end_effector=cell_ref.end_effector,
-    )
-    for item, reference, what in ((body, body_ref, "object"), (cell, cell_ref, "workcell")):
-        if item.fingerprint() != reference.fingerprint:
-            raise PlanFileError(
-                f"the {what} '{reference.name}' has changed since the plan '{path}' was made; plan again"
-            )
+    what = content.object
+    body = load_object(what.name if what.source == "built-in" else what.source, scale=what.scale, repair=what.repair)
+    if body.fingerprint() != what.fingerprint:
+        raise PlanFileError(f"the object '{what.name}' has changed since the plan '{path}' was made; plan again")
+    cell = content.workcell.load()
+    changes = content.workcell.changes(cell)
+    if changes:
+        more = f", and {len(changes) - NAMED} more" if len(changes) > NAMED else ""
+        raise PlanFileError(
+            f"the workcell '{content.workcell.name}' has changed since the plan '{path}' was made "
+            f"({', '.join(changes[:NAMED])}{more}); plan again"
+        )
     try:
         T = np.array([as_pose(g.T_object_tcp, f"grasp {i}") for i, g in enumerate(content.grasps)])
     except PoseError as error:
@@ -223,6 +209,11 @@ def _problem(content: _File, path: Path) -> RegraspProblem:
     widths = np.array([g.width for g in content.grasps])
     grasps = GraspSet(T.reshape(-1, 4, 4), widths, cell.arm.end_effector.kind)
     return assemble(body, cell, grasps, find_model(body, cell))  # all of them: transitions name them by number
+
+
+def _load_workcell(record: _Workcell | _Workcell1) -> Workcell:
+    name = record.name if record.source == "built-in" else record.source
+    return load_workcell(name, end_effector=record.end_effector)
 
 
 def _transition(record: _Transition, problem: RegraspProblem, path: Path) -> Transition:

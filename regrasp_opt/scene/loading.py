@@ -122,8 +122,7 @@ def _check(workcell: Workcell, path: Path) -> None:
                 f"{path}: key 'workspace.{axis}': {low:g} to {high:g} leaves the table, which ends at "
                 f"{middle - size / 2:g} and {middle + size / 2:g}; keep it within"
             )
-    names = [shape.name for shape in workcell.obstacles]
-    twice = next((name for name in names if names.count(name) > 1 or name == "table"), None)
+    twice = workcell.repeated_name
     if twice is not None:
         raise WorkcellError(f"{path}: key 'obstacles': the name '{twice}' is taken; give each obstacle its own")
     hit = collision_at_home(workcell)

@@ -12,11 +12,10 @@ SIZE_KEYS = {"box": ("size",), "cylinder": ("radius", "length"), "mesh": ("file"
 """The keys that each type of obstacle needs besides its name and pose."""
 
 
-Number = Annotated[float, Field(allow_inf_nan=False)]
-Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Distance = Annotated[float, Field(ge=0, le=0.1, allow_inf_nan=False)]
-Interval = Annotated[tuple[Number, Number], AfterValidator(ascending)]
-Vector = tuple[Number, Number, Number]
+Length = Annotated[float, Field(gt=0)]
+Distance = Annotated[float, Field(ge=0, le=0.1)]
+Interval = Annotated[tuple[float, float], AfterValidator(ascending)]
+Vector = tuple[float, float, float]
 
 
 class RobotSection(Section):
@@ -26,7 +25,7 @@ class RobotSection(Section):
     tip: str | None = None
     position: Vector = (0.0, 0.0, 0.0)
     rpy: Vector = (0.0, 0.0, 0.0)
-    home: list[Number] | None = None
+    home: list[float] | None = None
     ignore_collisions: list[tuple[str, str]] = Field(default_factory=list)
     package_dirs: list[str] = Field(default_factory=list)
 
@@ -40,8 +39,8 @@ class EndEffectorSection(Section):
 class TableSection(Section):
     """The table's top [m]."""
 
-    height: Number = 0.0
-    center: tuple[Number, Number]
+    height: float = 0.0
+    center: tuple[float, float]
     size: tuple[Length, Length]
     thickness: Length = 0.05
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.end_effectors import EndEffector
+from regrasp_opt.errors import WorkcellError
 from regrasp_opt.files import content_hash
 from regrasp_opt.geometry.shapes import Shape, shape_parts
 from regrasp_opt.robots import Robot
@@ -69,6 +71,8 @@ class Workcell:
         ``"built-in"`` or the path of the file it was read from.
     end_effector_override : str or None
         The end-effector that `load_workcell` was told to use instead of the file's.
+    added : tuple of str
+        Names of the obstacles that are not in the file.
     """
 
     name: str
@@ -79,6 +83,7 @@ class Workcell:
     clearance: Clearance
     source: str = "built-in"
     end_effector_override: str | None = None
+    added: tuple[str, ...] = ()
 
     @property
     def robot(self) -> Robot:
@@ -100,6 +105,27 @@ class Workcell:
         """The support of a workcell that has one."""
         (support,) = self.supports
         return support
+
+    def with_obstacles(self, shapes: Iterable[Shape]) -> Workcell:
+        """Return this workcell with the obstacles `shapes` besides its own; plan files keep them.
+
+        Raises
+        ------
+        WorkcellError
+            If two obstacles, or one and a support, have the same name.
+        """
+        shapes = tuple(shapes)
+        added = (*self.added, *(shape.name for shape in shapes))
+        cell = replace(self, obstacles=(*self.obstacles, *shapes), added=added)
+        if cell.repeated_name is not None:
+            raise WorkcellError(f"the name '{cell.repeated_name}' is taken; give each obstacle its own")
+        return cell
+
+    @property
+    def repeated_name(self) -> str | None:
+        """A name that two of the supports and the obstacles have, or None."""
+        names = [*(support.name for support in self.supports), *(shape.name for shape in self.obstacles)]
+        return next((name for name in names if names.count(name) > 1), None)
 
     def fingerprint(self) -> str:
         """Return a hash of everything that decides which grasps are feasible; names and home do not."""

@@ -12,7 +12,7 @@ from regrasp_opt import Status, conventions
 from regrasp_opt.cli.app import app
 from regrasp_opt.end_effectors import loading
 from regrasp_opt.planning import plan_file
-from regrasp_opt.scene import schema
+from regrasp_opt.scene import record, schema
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -65,11 +65,18 @@ def test_every_key_of_an_end_effector_is_documented():
             assert f"`{key}`" in text, key
 
 
-@pytest.mark.parametrize("record", ["_File", "_Transition", "_Reference", "_Grasp"])
+@pytest.mark.parametrize("record", ["_File", "_Transition", "_Grasp", "_Object", "_Workcell", "_Workcell1"])
 def test_every_key_of_a_plan_file_is_documented(record):
     text = read("plan-file.md")
     for key in keys(getattr(plan_file, record)):
         assert f"`{key}`" in text, key
+
+
+def test_every_key_of_a_scene_is_documented():
+    text = read("plan-file.md")
+    for section in (record.ArmRecord, record.SupportRecord, record.ObstacleRecord, record.SceneRecord):
+        for key in keys(section):
+            assert f"`{key}`" in text, key
 
 
 def test_every_status_is_documented():

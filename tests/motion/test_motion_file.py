@@ -13,7 +13,6 @@ import trimesh
 from regrasp_opt.errors import OptionError, PlanFileError
 from regrasp_opt.motion import MotionPlan, MotionStatus
 from regrasp_opt.motion.trajectory import motion_file as module
-from regrasp_opt.motion.trajectory.scene_export import _rpy
 
 DOCS = Path(__file__).parents[2] / "docs" / "motion.md"
 
@@ -152,11 +151,3 @@ def test_the_scene_is_read_by_another_urdf_reader(motion, tmp_path):
     held = {entry["grasp_id"]: np.array(entry["T_tcp_object"]) for entry in scene["object_in_hand"]}
     for g, T in held.items():
         assert np.allclose(T @ problem.grasps.T_object_tcp[g], np.eye(4), atol=1e-12)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_roll_pitch_and_yaw(seed):
-    rng = np.random.default_rng(seed)
-    for rpy in (rng.uniform(-1.5, 1.5, 3), np.array([0.7, np.pi / 2, 0.0]), np.array([-0.4, -np.pi / 2, 0.0])):
-        R = pin.rpy.rpyToMatrix(*rpy)
-        assert np.allclose(pin.rpy.rpyToMatrix(*_rpy(R)), R, atol=1e-9)

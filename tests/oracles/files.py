@@ -106,7 +106,7 @@ class Cell:
 
 
 def read_cell(reference):
-    """Return the cell that a plan file names by ``source``, ``name`` and ``end_effector``."""
+    """Return the cell that a plan file names by ``source``, ``name`` and ``end_effector``, with what it adds."""
     built_in = reference["source"] == "built-in"
     path = DATA / "workcells" / f"{reference['name']}.toml" if built_in else Path(reference["source"])
     content = _toml(path)
@@ -122,13 +122,14 @@ def read_cell(reference):
     tool = reference.get("end_effector") or content["end_effector"]["model"]
     tool_path = DATA / "end_effectors" / f"{tool}.toml" if _bare(tool) else path.parent / tool
     table = {"height": 0.0, "thickness": 0.05, **content["table"]}
+    added = [part for part in reference.get("obstacles", []) if part["added"]]
     return Cell(
         path,
         frame(section.get("position", (0, 0, 0)), section.get("rpy", (0, 0, 0))),
         read_urdf(urdf, tip, packages),
         read_tool(tool_path),
         table,
-        [_obstacle(part, path.parent) for part in content.get("obstacles", [])],
+        [_obstacle(part, path.parent) for part in [*content.get("obstacles", []), *added]],
         {"arm": 0.005, "gripper": 0.003, "self_collision": 0.0, **content.get("clearance", {})},
         content["workspace"],
         {frozenset(pair) for pair in ignored},
@@ -149,6 +150,8 @@ def _obstacle(part, folder):
         return Shape(part["name"], "box", T, part["size"])
     if part["type"] == "cylinder":
         return Shape(part["name"], "cylinder", T, (part["radius"], part["length"]))
+    if "vertices" in part:
+        return Shape(part["name"], "mesh", T, None, np.array(part["vertices"]), np.array(part["faces"]))
     vertices, faces = read_mesh(folder / part["file"], part.get("scale", 1.0))
     return Shape(part["name"], "mesh", T, None, vertices, faces)
 

@@ -10,10 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from oracles.plans import PlanVerifier
 
-from regrasp_opt import RegraspPlan, RegraspProblem, Status, solve_sequence
-from regrasp_opt.errors import PlanFileError, RegraspError
+from regrasp_opt import RegraspPlan, RegraspProblem, Status, load_workcell, solve_sequence
+from regrasp_opt.conventions import planar_transform, rotation_rpy, translation
+from regrasp_opt.errors import PlanFileError, RegraspError, WorkcellError
+from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh
 from regrasp_opt.planning.plan_file import plan_summary
+from regrasp_opt.planning.problem import assemble
 
 BUILT_IN = (files("regrasp_opt") / "data" / "workcells" / "nova2-w.toml").read_text("utf-8")
 
@@ -55,7 +59,7 @@ def test_the_file_has_the_keys_of_the_contract(plan, plan_content):
     keys = ["status", "num_regrasps", "cost", "poses", "transitions", "timings"]
     assert list(plan_summary(plan)) == keys
     assert set(keys) < set(plan_content)
-    assert plan_content["schema"] == 1 and plan_content["status"] == "solved"
+    assert plan_content["schema"] == 2 and plan_content["status"] == "solved"
     assert set(plan_content["transitions"][0]) == {"grasp_ids", "q_pick", "q_place", "clearance"}
 
 
@@ -73,7 +77,8 @@ def test_an_own_mesh_and_workcell_are_found_again_from_another_folder(bottle_pro
     assert "object 'bottle' has changed" in refusal(tmp_path / "plan.json")
     bottle_problem.object.mesh.export(mesh)
     cell.write_text(BUILT_IN.replace("arm = 0.005", "arm = 0.004"), encoding="utf-8")
-    assert "workcell 'cell' has changed" in refusal(tmp_path / "plan.json").replace("nova2-w", "cell")
+    refused = refusal(tmp_path / "plan.json")
+    assert re.search(r"workcell '\S+' has changed since .* \(clearance\.arm is 0\.004 instead of 0\.005\)", refused)
     cell.unlink()
     with pytest.raises(RegraspError, match=r"cell\.toml"):
         RegraspPlan.load(tmp_path / "plan.json")
@@ -96,7 +101,7 @@ def test_files_that_are_no_plan(tmp_path, plan_content):
         assert "not valid JSON" in refusal(path)
     path.write_bytes(b"\xff\xfe\x00" * 20)
     assert "not valid JSON" in refusal(path)
-    for other in ("null", "3", "[]", "{}", '"plan"', '{"schema": 2}', '{"schema": "1"}'):
+    for other in ("null", "3", "[]", "{}", '"plan"', '{"schema": 3}', '{"schema": "1"}', '{"schema": true}'):
         path.write_text(other, encoding="utf-8")
         assert "schema" in refusal(path)
 
@@ -153,7 +158,7 @@ WRONG = {
     "a sheared grasp": (put([1, 1, 0, 0], "grasps", 0, "T_object_tcp", 0), "grasp 0"),
     "a negative width": (put(-0.1, "grasps", 0, "width"), ""),
     "another object": (put("0" * 64, "object", "fingerprint"), "object 'bottle' has changed since the plan"),
-    "another workcell": (put("0" * 64, "workcell", "fingerprint"), "workcell 'nova2-w' has changed since the plan"),
+    "another workcell": (put("0" * 64, "workcell", "arms", 0, "robot", "fingerprint"), "robot of arm 'arm' is another"),
     "another scale": (put(0.9, "object", "scale"), "object 'bottle' has changed"),
 }  # fmt: skip
 
@@ -167,6 +172,157 @@ def test_wrong_content_is_named(name, plan_content, tmp_path):
     path.write_text(json.dumps(content), encoding="utf-8")
     message = refusal(path)
     assert re.search(said, message), message
+
+
+def own_plan(plan, cell, tmp_path, text):
+    """Save `plan` as one in the workcell file `cell`, of content `text`; return its path."""
+    cell.write_text(text, encoding="utf-8")
+    problem = assemble(plan.problem.object, load_workcell(cell), plan.problem.grasps, None)
+    path = tmp_path / "plan.json"
+    replace(plan, problem=problem).save(path)
+    return path
+
+
+SHELF_ALONE = """
+[[obstacles]]
+type = "box"
+name = "shelf"
+size = [0.1, 0.2, 0.05]
+position = [0.0, -0.4, 0.3]
+rpy = [0.3, 1.5707963267948966, -0.2]
+"""
+POST = 'type = "cylinder"\nname = "post"\nradius = 0.02\nlength = 0.5\n'
+SHELVES = f"""{SHELF_ALONE}
+[[obstacles]]
+{POST}position = [0.5, -0.4, 0.25]
+[[obstacles]]
+type = "mesh"
+name = "motor"
+file = "motor.stl"
+scale = 0.001
+position = [-0.5, -0.4, 0.1]
+"""
+CHANGED = {
+    "moved": ("[0.0, -0.4, 0.3]", "[0.0, -0.42, 0.3]", "obstacle 'shelf' moved by 0.02 m"),
+    "turned": ("-0.2]", "-0.3]", "obstacle 'shelf' turned by 5.73 degrees"),
+    "resized": ("0.2, 0.05]", "0.2, 0.06]", "size of obstacle 'shelf' is [0.1, 0.2, 0.06] instead of [0.1, 0.2, 0.05]"),
+    "thicker": ("radius = 0.02", "radius = 0.025", "radius of obstacle 'post' is 0.025 instead of 0.02"),
+    "another type": (POST, POST.split("radius")[0].replace("cylinder", "box") + "size = [0.1, 0.1, 0.1]\n",
+                     "obstacle 'post' is a box instead of a cylinder"),
+    "another mesh": ("0.001", "0.0011", "the mesh of obstacle 'motor' is another"),
+    "removed": (SHELF_ALONE, "", "obstacle 'shelf' was removed"),
+    "added": (SHELF_ALONE, SHELF_ALONE + SHELF_ALONE.replace("shelf", "rack").replace("0.3]", "0.5]"),
+              "obstacle 'rack' was added"),
+    "base": ("position = [0.0, 0.0, 0.0]", "position = [0.0, 0.0, 0.01]", "arm 'arm' moved by 0.01 m"),
+    "robot": ('model = "nova2"', 'model = "nova2"\nignore_collisions = [["link1", "link4"]]',
+              "the robot of arm 'arm' is another"),
+    "tool": ('model = "w"', 'model = "r85"', "end_effector of arm 'arm' is 'r85' instead of 'w'"),
+    "table": ("thickness = 0.05", "thickness = 0.04", "thickness of support 'table' is 0.04 instead of 0.05"),
+    "workspace": ("[-0.45, 0.45]", "[-0.4, 0.45]",
+                  "x of the workspace of support 'table' is [-0.4, 0.45] instead of [-0.45, 0.45]"),
+    "clearance": ("gripper = 0.003", "gripper = 0.004", "clearance.gripper is 0.004 instead of 0.003"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CHANGED)
+def test_what_changed_in_a_workcell_is_named(name, plan, tmp_path):
+    trimesh.creation.icosphere(1, 50.0).export(tmp_path / "motor.stl")
+    cell, text = tmp_path / "cell.toml", BUILT_IN + SHELVES
+    path = own_plan(plan, cell, tmp_path, text)
+    assert RegraspPlan.load(path).problem.workcell.fingerprint() == load_workcell(cell).fingerprint()
+    old, new, said = CHANGED[name]
+    assert text.count(old) == 1
+    cell.write_text(text.replace(old, new), encoding="utf-8")
+    assert refusal(path).endswith(f"was made ({said}); plan again")
+
+
+def test_of_many_changes_three_are_named(plan, tmp_path):
+    cell, boxes = tmp_path / "cell.toml", "".join(SHELF_ALONE.replace("shelf", f"shelf {i}") for i in range(5))
+    path = own_plan(plan, cell, tmp_path, BUILT_IN + boxes)
+    cell.write_text(BUILT_IN, encoding="utf-8")
+    assert "'shelf 2' was removed, and 2 more)" in refusal(path)
+
+
+def test_names_and_order_of_obstacles_may_change(plan, tmp_path):
+    trimesh.creation.icosphere(1, 50.0).export(tmp_path / "motor.stl")
+    cell = tmp_path / "cell.toml"
+    path = own_plan(plan, cell, tmp_path, BUILT_IN + SHELVES)
+    _, first, *rest = SHELVES.split("[[obstacles]]\n")
+    turned = "".join("[[obstacles]]\n" + part for part in (*rest, first.replace("shelf", "rack")))
+    cell.write_text(BUILT_IN + turned, encoding="utf-8")
+    assert RegraspPlan.load(path).residuals().hold
+
+
+def test_obstacles_that_no_file_has_come_back_with_the_plan(plan, tmp_path):
+    ball = trimesh.creation.icosphere(1, 0.05)
+    lying = planar_transform([0.4, -0.4, 1.0]) @ rotated(np.pi / 2)
+    shapes = [
+        Box("box", np.array([0.1, 0.2, 0.3]), translation(0.0, -0.5, 0.2)),
+        Cylinder("pipe", 0.02, 0.3, lying),
+        Mesh("ball", np.array(ball.vertices), np.array(ball.faces), translation(-0.5, -0.3, 0.1)),
+    ]
+    body, cell, grasps = plan.problem.object, plan.problem.workcell, plan.problem.grasps
+    path = tmp_path / "plan.json"
+    replace(plan, problem=assemble(body, cell.with_obstacles(shapes), grasps, None)).save(path)
+    again = RegraspPlan.load(path)
+    assert again.residuals().hold
+    assert again.problem.workcell.added == ("box", "pipe", "ball")
+    assert again.problem.workcell.fingerprint() == cell.with_obstacles(shapes).fingerprint()
+    assert independent_problems(path) == []
+    wall = Box("wall", np.array([0.6, 0.6, 0.6]), translation(*plan.poses[1][:3, 3]))
+    replace(plan, problem=assemble(body, cell.with_obstacles([wall]), grasps, None)).save(path)
+    assert any("wall" in text for text in RegraspPlan.load(path).residuals().problems)
+    assert independent_problems(path)
+    with pytest.raises(WorkcellError, match="the name 'wall' is taken"):
+        cell.with_obstacles([wall]).with_obstacles([wall])
+
+
+def independent_problems(path):
+    content = json.loads(path.read_text("utf-8"))
+    return PlanVerifier(content).problems(content)
+
+
+def rotated(pitch):
+    T = np.eye(4)
+    T[:3, :3] = rotation_rpy(0.0, pitch, 0.0)
+    return T
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"faces": [[0, 1, 9]]}, "a face names a vertex that is not there"),
+        ({"faces": [[0, 1, -1]]}, "faces"),
+        ({"vertices": []}, "needs the key 'vertices'"),
+        ({"type": "box"}, "needs the key 'size'"),
+        ({"type": "cylinder", "radius": -1.0, "length": 1.0}, "radius"),
+        ({"position": [0.0, 0.0, 1e999]}, "position"),
+        ({"name": "table"}, "the name 'table' is taken"),
+    ],
+)
+def test_damaged_obstacles_are_refused(change, said, plan_content, tmp_path):
+    content = copy.deepcopy(plan_content)
+    shape = {"name": "net", "type": "mesh", "position": [0, -0.5, 0.3], "rpy": [0, 0, 0], "added": True}
+    mesh = {"vertices": [[0, 0, 0], [1, 0, 0], [0, 1, 0]], "faces": [[0, 1, 2]]}
+    content["workcell"]["obstacles"] = [{**shape, **mesh, **change}]
+    (tmp_path / "plan.json").write_text(json.dumps(content), encoding="utf-8")
+    with pytest.raises(RegraspError) as info:
+        RegraspPlan.load(tmp_path / "plan.json")
+    assert said in str(info.value)
+
+
+def test_plans_of_schema_1_are_read(tmp_path):
+    """The file was written by the version before schema 2."""
+    old = Path(__file__).with_name("plan-1.json")
+    content = json.loads(old.read_text("utf-8"))
+    assert content["schema"] == 1
+    plan = RegraspPlan.load(old)
+    assert plan.solved and plan.residuals().hold and independent_problems(old) == []
+    plan.save(tmp_path / "plan.json")
+    assert_equal_plans(RegraspPlan.load(tmp_path / "plan.json"), plan)
+    content["workcell"]["fingerprint"] = "0" * 64
+    (tmp_path / "plan.json").write_text(json.dumps(content), encoding="utf-8")
+    assert "the workcell 'nova2-w' has changed" in refusal(tmp_path / "plan.json")
 
 
 def test_a_transition_without_grasps_is_read_and_refused_by_the_verification(plan_content, tmp_path):

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.errors import OptionError, PlanFileError
@@ -17,7 +17,8 @@ from regrasp_opt.files import atomic_path
 from regrasp_opt.motion.motion_data import MotionData, MotionStatus, Phase, Segment
 from regrasp_opt.motion.trajectory.trajectory import Trajectory
 from regrasp_opt.planning import RegraspPlan
-from regrasp_opt.planning.plan_file import plan_content, plan_from_content, read_json, validated
+from regrasp_opt.planning.plan_file import plan_content, plan_from_content
+from regrasp_opt.schemas import Section, read_json, validated
 
 SCHEMA = 1
 MOST_ROWS = 10**6
@@ -37,11 +38,7 @@ _PHASES = {phase.name.lower(): phase for phase in Phase}
 Motion = TypeVar("Motion", bound=MotionData)
 
 
-class _Record(BaseModel):
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-
-class _Segment(_Record):
+class _Segment(Section):
     phase: str
     transition: Annotated[int, Field(ge=0)]
     grasp_id: Annotated[int, Field(ge=0)]
@@ -51,7 +48,7 @@ class _Segment(_Record):
     velocities: list[Row]
 
 
-class _File(_Record):
+class _File(Section):
     schema_: int = Field(alias="schema")
     kind: Literal["motion"]
     status: str
@@ -121,7 +118,7 @@ def _parse(raw: Any, path: Path) -> _File:
     version = raw.get("schema") if isinstance(raw, dict) else None
     if version != SCHEMA or raw.get("kind") != "motion":
         raise PlanFileError(f"'{path}' is not a motion of schema {SCHEMA}; write one with 'regrasp-opt motion'")
-    content = validated(_File, raw, path, "plan the motion again")
+    content = validated(raw, _File, f"'{path}'", PlanFileError)
     if content.status not in _STATUSES:
         raise PlanFileError(f"'{path}': unknown status '{content.status}'; known: {', '.join(_STATUSES)}")
     if bool(content.segments) != (_STATUSES[content.status] is MotionStatus.SOLVED):

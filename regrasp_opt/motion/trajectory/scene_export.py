@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from regrasp_opt.conventions import FloatArray, invert
+from regrasp_opt.conventions import FloatArray, invert, rpy_angles
 from regrasp_opt.files import atomic_path
 from regrasp_opt.geometry.shapes import Box, Cylinder, Shape
 from regrasp_opt.planning import RegraspPlan
@@ -128,7 +128,7 @@ def _object(mesh: trimesh.Trimesh) -> ET.Element:
 def _add_shape(link: ET.Element, shape: Shape, folder: Path, mesh_name: str = "") -> None:
     for tag in ("visual", "collision"):
         part = ET.SubElement(link, tag)
-        ET.SubElement(part, "origin", xyz=_numbers(shape.pose[:3, 3]), rpy=_numbers(_rpy(shape.pose[:3, :3])))
+        ET.SubElement(part, "origin", xyz=_numbers(shape.pose[:3, 3]), rpy=_numbers(rpy_angles(shape.pose[:3, :3])))
         geometry = ET.SubElement(part, "geometry")
         if isinstance(shape, Box):
             ET.SubElement(geometry, "box", size=_numbers(shape.size))
@@ -138,14 +138,6 @@ def _add_shape(link: ET.Element, shape: Shape, folder: Path, mesh_name: str = ""
             name = mesh_name or f"{shape.name}.stl"
             _write_mesh(shape.vertices, shape.faces, folder / name)
             ET.SubElement(geometry, "mesh", filename=name)
-
-
-def _rpy(R: FloatArray) -> FloatArray:
-    """Return URDF's roll, pitch and yaw (3,) [rad] of a rotation (3, 3)."""
-    pitch = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
-    if np.hypot(R[0, 0], R[1, 0]) < 1e-9:  # straight up or down: yaw is free, so it is 0
-        return np.array([np.arctan2(-R[1, 2], R[1, 1]), pitch, 0.0])
-    return np.array([np.arctan2(R[2, 1], R[2, 2]), pitch, np.arctan2(R[1, 0], R[0, 0])])
 
 
 def _numbers(values: Any) -> str:
