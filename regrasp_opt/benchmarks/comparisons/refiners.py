@@ -12,7 +12,7 @@ import numpy as np
 from regrasp_opt.benchmarks.harness import tables
 from regrasp_opt.benchmarks.harness.experiment import pair_item, run_experiment
 from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
-from regrasp_opt.benchmarks.harness.planners import PLANNERS, graph_row, plan_row
+from regrasp_opt.benchmarks.harness.planners import PLANNERS, graph_row, plan_row, solvable, solved_by_both
 from regrasp_opt.benchmarks.harness.report import Figure, Report, Table, mean, percent
 from regrasp_opt.benchmarks.harness.runner import Item, Row
 from regrasp_opt.benchmarks.harness.session import Session
@@ -93,9 +93,6 @@ def _by_planner(rows: list[Row]) -> dict[str, list[Row]]:
 
 
 def _success_table(rows: list[Row]) -> Table:
-    def solvable(row: Row) -> bool:
-        return row["minimum"] is not None
-
     def late(here: list[Row]) -> float | None:
         times = sorted(tables.values(here, "first_verified", of="solved"))
         return round(times[int(0.9 * (len(times) - 1))], 3) if times else None
@@ -104,9 +101,7 @@ def _success_table(rows: list[Row]) -> Table:
     for tier, label in (("1", "N=1"), ("2", "N=2"), ("3+", "N>=3")):
         columns[label] = tables.share("solved", of=lambda row, tier=tier: row["tier"] == tier)
     columns |= {
-        "N no more than oracle [%]": tables.share(
-            lambda row: row["num_regrasps"] <= row["minimum"], of=lambda row: solvable(row) and row["solved"]
-        ),
+        "N no more than oracle [%]": tables.share(lambda row: row["num_regrasps"] <= row["minimum"], of=solved_by_both),
         "median [s]": tables.middle("first_verified", of="solved"),
         "90 % [s]": late,
         "mean, all [s]": tables.average("seconds", 3),
@@ -159,7 +154,7 @@ def _quality_table(rows: list[Row]) -> Table:
 
 def _conclusion(rows: list[Row]) -> str:
     """Return two paragraphs: who wins on success and time and why, and what the default adds to that."""
-    groups = {name: [r for r in here if r["minimum"] is not None] for name, here in _by_planner(rows).items()}
+    groups = {name: list(filter(solvable, here)) for name, here in _by_planner(rows).items()}
     solved = {name: [r for r in here if r["solved"]] for name, here in groups.items()}
     if not all(solved.get(name) for name in (*FROM_LATTICE, GRAPH, LANGEVIN)):
         return ""

@@ -100,6 +100,16 @@ def outcome(plan: RegraspPlan, instance: Instance) -> Row:
     }
 
 
+def solvable(row: Row) -> bool:
+    """Return whether the oracle's grid holds a plan."""
+    return row.get("minimum") is not None
+
+
+def solved_by_both(row: Row) -> bool:
+    """Return whether the oracle's grid holds a plan, and the planner found one."""
+    return solvable(row) and row["solved"]
+
+
 def effort(plan: RegraspPlan) -> Row:
     """Return what the plan took: seconds to the first verified plan, iterations, solves, and how many converged."""
     stats = plan.refiner_stats

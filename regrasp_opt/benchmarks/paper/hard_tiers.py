@@ -15,7 +15,7 @@ from regrasp_opt.benchmarks.harness import tables
 from regrasp_opt.benchmarks.harness.experiment import pair_item, run_experiment
 from regrasp_opt.benchmarks.harness.instances import TIERS, Instance, choose_instances, instances_hash
 from regrasp_opt.benchmarks.harness.oracle import Resolution
-from regrasp_opt.benchmarks.harness.planners import plan_row
+from regrasp_opt.benchmarks.harness.planners import plan_row, solvable, solved_by_both
 from regrasp_opt.benchmarks.harness.report import Report, Table
 from regrasp_opt.benchmarks.harness.runner import Item, Row
 from regrasp_opt.benchmarks.harness.session import Session
@@ -162,14 +162,11 @@ def _table(rows: list[Row]) -> Table:
         for tier in TIERS
     }
 
-    def both(row: Row) -> bool:
-        return row["solved"] and row["minimum"] is not None
-
     columns = {
         "pairs": len,
         "solved [%]": tables.share("solved"),
-        "N as oracle [%]": tables.share(lambda row: row["num_regrasps"] == row["minimum"], of=both),
-        "N below it [%]": tables.share(lambda row: row["num_regrasps"] < row["minimum"], of=both),
+        "N as oracle [%]": tables.share(lambda row: row["num_regrasps"] == row["minimum"], of=solved_by_both),
+        "N below it [%]": tables.share(lambda row: row["num_regrasps"] < row["minimum"], of=solved_by_both),
         "solved [s]": tables.average("seconds", of="solved"),
         "gave up [s]": tables.average("seconds", of=lambda row: not row["solved"]),
     }
@@ -184,6 +181,6 @@ def _table(rows: list[Row]) -> Table:
 
 
 def _failures(rows: list[Row]) -> Table:
-    bad = [row for row in rows if row.get("minimum") is not None and not row["solved"]]
+    bad = [row for row in rows if solvable(row) and not row["solved"]]
     columns = {"pair": "pair", "oracle N": "minimum", "status": "status", "seconds": "seconds"}
     return tables.listing("Solvable instances without a plan", bad, columns)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from regrasp_opt.benchmarks.harness import tables
 from regrasp_opt.benchmarks.harness.experiment import pair_item, run_experiment
 from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
-from regrasp_opt.benchmarks.harness.planners import plan_row
+from regrasp_opt.benchmarks.harness.planners import plan_row, solvable, solved_by_both
 from regrasp_opt.benchmarks.harness.report import Cell, Figure, Report, Table
 from regrasp_opt.benchmarks.harness.runner import Item, Row
 from regrasp_opt.benchmarks.harness.session import Session
@@ -109,19 +109,13 @@ def _table(rows: list[Row], names: list[str]) -> Table:
 
 
 def _oracle_table(rows: list[Row], names: list[str]) -> Table:
-    def solvable(row: Row) -> bool:
-        return row["minimum"] is not None
-
-    def both(row: Row) -> bool:
-        return row["minimum"] is not None and row["solved"]
-
     columns = {
         "pairs": len,
         "oracle solves [%]": tables.share(solvable),
         "S.H. of these [%]": tables.share("solved", of=solvable),
-        "N as the oracle [%]": tables.share(lambda row: row["num_regrasps"] == row["minimum"], of=both),
-        "N no more [%]": tables.share(lambda row: row["num_regrasps"] <= row["minimum"], of=both),
-        "beyond it": tables.count(lambda row: row["minimum"] is None and row["solved"]),
+        "N as the oracle [%]": tables.share(lambda row: row["num_regrasps"] == row["minimum"], of=solved_by_both),
+        "N no more [%]": tables.share(lambda row: row["num_regrasps"] <= row["minimum"], of=solved_by_both),
+        "beyond it": tables.count(lambda row: row["solved"] and not solvable(row)),
     }
     return tables.summary(
         "Against the exact oracle",
@@ -138,7 +132,7 @@ def _failures(rows: list[Row]) -> Table:
         row
         for row in rows
         if row.get("planner") == "ours"
-        and row.get("minimum") is not None
+        and solvable(row)
         and (not row["solved"] or row["num_regrasps"] > row["minimum"])
     ]
     columns = {"pair": "pair", "oracle N": "minimum", "status": "status", "our N": "num_regrasps", "seconds": "seconds"}
