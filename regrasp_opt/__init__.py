@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         RegraspProblem,
         Status,
         Transition,
+        solve_many,
         solve_sequence,
     )
     from regrasp_opt.planning.prepare import prepare
@@ -39,6 +40,7 @@ _HOMES = {
     "load_object": "objects",
     "load_workcell": "scene",
     "prepare": "planning.prepare",
+    "solve_many": "planning",
     "solve_sequence": "planning",
 }
 
@@ -54,6 +56,7 @@ __all__ = [
     "load_object",
     "load_workcell",
     "prepare",
+    "solve_many",
     "solve_sequence",
 ]
 

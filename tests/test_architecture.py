@@ -117,7 +117,7 @@ def test_solvers_is_a_relative_link_to_the_top_folder():
 def test_public_names_are_few_and_real():
     import regrasp_opt
 
-    assert len(regrasp_opt.__all__) <= 12
+    assert len(regrasp_opt.__all__) <= 16
     for name in regrasp_opt.__all__:
         assert getattr(regrasp_opt, name).__doc__
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):

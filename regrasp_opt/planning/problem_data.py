@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -35,6 +35,10 @@ class ProblemData:
     model_folder: Path | None = None
     preset: Literal["default", "paper"] = "default"
     left_out: dict[int, str] = field(default_factory=dict)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle the fields alone: what was computed from them is large, and some of it cannot travel."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @cached_property
     def checker(self) -> FeasibilityChecker:
