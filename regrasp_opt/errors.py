@@ -15,7 +15,7 @@ class RegraspError(Exception):
 
 
 class UnknownNameError(RegraspError):
-    """A name that is none of the known ones.
+    """An unknown name.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class UnknownNameError(RegraspError):
 
 
 class MeshError(RegraspError):
-    """A mesh that cannot stand for a solid object; the message names the repair where there is one."""
+    """A mesh that is not a usable solid; the message names a repair if there is one."""
 
 
 class PoseError(RegraspError):

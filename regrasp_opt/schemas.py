@@ -38,7 +38,7 @@ def ascending(interval: tuple[float, float]) -> tuple[float, float]:
 
 
 def read_toml(text: str, schema: type[File], where: str) -> File:
-    """Return the TOML document `text` as `schema`; `where` it stands begins every message.
+    """Return the TOML document `text` as `schema`; every message begins with `where` it comes from.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Worker processes that leave Ctrl-C to the process which started them."""
+"""Worker processes that leave Ctrl-C to the process that started them."""
 
 from __future__ import annotations
 

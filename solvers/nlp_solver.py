@@ -1,6 +1,6 @@
 """A CasADi solver of one program, and what it says about a solution.
 
-Neither a CasADi solver nor MUMPS may be used from two threads at once: a lock sees to it.
+Neither a CasADi solver nor MUMPS may be used from two threads at once; a lock prevents it.
 """
 
 from __future__ import annotations

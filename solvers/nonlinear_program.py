@@ -167,7 +167,7 @@ class NonlinearProgram:
         scale: float = 1.0,
         unit: str = "",
     ) -> None:
-        """Demand ``lower <= expression <= upper``, elementwise; equal bounds make an equation.
+        """Require ``lower <= expression <= upper``, elementwise; equal bounds make an equation.
 
         Parameters
         ----------
@@ -364,7 +364,7 @@ def _slices(blocks: Mapping[str, _Block]) -> dict[str, slice]:
 
 
 def _bound(opti: Any, flat: Any, block: _Block) -> None:
-    """Demand a block's bounds of its entries `flat` where they are finite."""
+    """Require a block's bounds of its entries `flat` where they are finite."""
     assert block.lower is not None and block.upper is not None
     low, high = block.lower.ravel(), block.upper.ravel()
     finite = np.flatnonzero(np.isfinite(low) | np.isfinite(high))

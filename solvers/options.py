@@ -57,7 +57,7 @@ class ProgramOptions:
 
 
 def plugin_options(settings: ProgramOptions) -> dict[str, Any]:
-    """Return the options of `settings` in the words of its CasADi plugin."""
+    """Return the options of `settings` as their CasADi plugin names them."""
     if settings.plugin == "ipopt":
         return {
             "ipopt": {

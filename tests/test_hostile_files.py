@@ -1,4 +1,4 @@
-"""Files from somebody else: names that are not paths, nesting without end, and files that they name elsewhere."""
+"""Files from strangers: names that are not paths, nesting without end, and files that they name elsewhere."""
 
 import json
 import logging

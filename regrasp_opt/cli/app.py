@@ -353,7 +353,7 @@ def bench(
 
     regrasp-opt bench one-step --quick --out results
     """
-    if experiment != "speed":  # timings are taken anew
+    if experiment != "speed":  # timings start over
         interrupts.resumable()
     from regrasp_opt.cli.bench import run_bench
 

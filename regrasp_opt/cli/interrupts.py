@@ -42,12 +42,12 @@ def install() -> None:
 
 
 def resumable() -> None:
-    """Have it said, if the command is interrupted, that the same command goes on where this one stopped."""
+    """Say, if the command is interrupted, that the same command resumes where this one stopped."""
     _message[0] = "interrupted; run the same command again to go on from here"
 
 
 def let_go() -> None:
-    """Let a signal end the process at once; to be called when nothing is left to do but to end."""
+    """Let a signal end the process at once; to be called when nothing else is left to do."""
     for number in SIGNALS:
         signal.signal(number, signal.SIG_DFL)
 

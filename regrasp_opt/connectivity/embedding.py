@@ -1,4 +1,4 @@
-"""The energy of one planning problem, ready to be put into somebody's own CasADi problem."""
+"""The energy of one planning problem, ready to be put into a user's own CasADi problem."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class ProblemEnergy(GraspEnergy):
         options: CostOptions | None = None,
         blas: Blas = "classic",
     ) -> ConnectivityFunctions:
-        """Return what `casadi_functions` does, for poses that come out of somebody's kinematics.
+        """Return what `casadi_functions` does, for poses that come out of a user's kinematics.
 
         Parameters
         ----------
@@ -110,8 +110,8 @@ class ProblemEnergy(GraspEnergy):
         -------
         ConnectivityFunctions
             Functions of ``T`` (4 M, 4), poses T_world_object one below the other: ``E`` (M, G), ``Q_pair``, ``J_seq``.
-            All 12 numbers of the upper rows of a pose are free as far as derivatives go; keeping them rigid is the
-            caller's.
+            All 12 numbers of the upper rows of a pose are free as far as derivatives go; keeping them rigid is up
+            to the caller.
 
         Raises
         ------

@@ -22,12 +22,12 @@ _FLAT = {"source", "vertices", "lines", "linestrips", "extra"}
 
 
 def read_collada(path: Path) -> tuple[FloatArray, IntArray]:
-    """Return vertices (V, 3) [m] and triangles (F, 3) of the scene in a file; whatever else a broken one may raise.
+    """Return vertices (V, 3) [m] and triangles (F, 3) of the scene in a file; a broken file may raise anything.
 
     Raises
     ------
     MeshError
-        If the scene holds what has no fixed surface here: splines, controllers, polygons with holes.
+        If the scene holds something without a fixed surface: splines, controllers, polygons with holes.
     """
     root = ET.fromstring(path.read_bytes())
     for element in root.iter():

@@ -1,6 +1,6 @@
-"""Triangles from mesh files, for objects, obstacles and robot links alike: read whole and sound, or refused.
+"""Triangles from mesh files, for objects, obstacles and robot links alike: complete and sound, or refused.
 
-The libraries that use the triangles believe them: an index beyond the vertices makes the collision library read memory
+The libraries that use the triangles trust them: an index beyond the vertices makes the collision library read memory
 that is not its own.
 """
 

@@ -257,7 +257,7 @@ class Containment:
         return number
 
     def moved(self, index: int) -> None:
-        """Take notice that the placement of a body was changed."""
+        """Note that the placement of a body has changed."""
         for number, offset in self._copies.get(index, ()):
             self._screen.geometryObjects[number].placement = self._geometry.geometryObjects[index].placement * offset
 

@@ -74,7 +74,7 @@ class GraspSet:
         return len(self.width)
 
     def subset(self, ids: ArrayLike) -> GraspSet:
-        """Return the grasps whose indices `ids` (K,) are, or where the mask `ids` (G,) is true, in that order."""
+        """Return the grasps with indices `ids` (K,), in that order, or those where the mask `ids` (G,) is true."""
         index = np.asarray(ids)
         index = index if index.dtype == bool else index.astype(np.int64)
         return GraspSet(self.T_object_tcp[index], self.width[index], self.kind)

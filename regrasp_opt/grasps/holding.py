@@ -21,7 +21,7 @@ from regrasp_opt.grasps.surface import TriangleSurface, cast_rays, make_surface
 from regrasp_opt.objects import ObjectModel
 
 ROUNDING = 1e-4
-"""What is granted for grasps that were written in single precision, or to a tenth of a millimetre [m, rad]."""
+"""Tolerance for grasps that were written in single precision, or to a tenth of a millimetre [m, rad]."""
 
 GAP = max(WIDENINGS) / 2 + ROUNDING
 """Farthest that the object may be inside a pad at the stated opening [m]: as far as a flat pad that the sampler closes

@@ -1,4 +1,4 @@
-"""Grasps near given tool poses: the tool is put on the object's surface, and kept where the sampler would have it.
+"""Grasps near given tool poses: the tool is put on the object's surface, and kept if the sampler would accept it.
 
 A tool pose that came out of an optimisation is a little off the surface. Here its contacts are found, the tool is
 centred between them (or pressed on the surface), and the same rules as in sampling decide: both contacts inside their

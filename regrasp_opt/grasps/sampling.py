@@ -19,7 +19,7 @@ ROUNDS = 10
 """Most rounds of sampling."""
 
 POINTS = 300
-"""TriangleSurface points of one round."""
+"""Surface points of one round."""
 
 CHOICE = 4
 """Rounds stop when there are this many candidates for each grasp asked for."""

@@ -72,7 +72,7 @@ def seal_grades(
     surface : TriangleSurface
         The object's surface [m].
     centers : FloatArray
-        TriangleSurface points (N, 3) [m].
+        Points on it (N, 3) [m].
     approach : FloatArray
         Unit vectors (N, 3) into the surface, the first guess of the approach.
     radius : float

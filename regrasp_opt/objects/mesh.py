@@ -1,4 +1,4 @@
-"""Reading a mesh file into one watertight solid in metres, or saying in one sentence why it is none.
+"""Reading a mesh file into one watertight solid in metres, or saying in one sentence why that is not possible.
 
 A mesh is taken as it is or refused; only with ``repair`` is it changed, and then the result is held to the
 same checks. Frames and axes of the file are kept.

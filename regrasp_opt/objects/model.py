@@ -31,7 +31,7 @@ class ObjectModel:
     mesh : trimesh.Trimesh
         Watertight surface with outward normals in the object frame, which is that of the file [m].
     placements : tuple of Placement
-        Stable placements by falling margin; empty when there is none.
+        Stable placements by decreasing margin; empty if there are none.
     source : str
         ``"built-in"`` or the path of the file.
     scale, repair
@@ -95,7 +95,7 @@ def load_object(name_or_path: str | os.PathLike[str], *, scale: float = 1.0, rep
     scale : float
         Metres per unit of the file, for example 0.001; also scales a built-in object.
     repair : bool
-        Mend the file's mesh where that can be done safely.
+        Repair the file's mesh where that can be done safely.
 
     Raises
     ------

@@ -60,7 +60,7 @@ class RejectedPlacement(NamedTuple):
 def stable_placements(mesh: trimesh.Trimesh, min_margin: float = LEAST_MARGIN) -> tuple[Placement, ...]:
     """Return the placements of a solid of uniform density whose margin is at least `min_margin`.
 
-    They are ordered by falling margin; equal ones by the direction of their support in the object frame. The
+    They are ordered by decreasing margin; equal ones by the direction of their support in the object frame. The
     result does not depend on how the surface is triangulated.
 
     Parameters
@@ -87,7 +87,7 @@ def stable_placements(mesh: trimesh.Trimesh, min_margin: float = LEAST_MARGIN) -
 
 
 def rejected_placements(mesh: trimesh.Trimesh, min_margin: float = LEAST_MARGIN) -> tuple[RejectedPlacement, ...]:
-    """Return the other ways in which the solid can rest, by falling margin; parameters and errors as above."""
+    """Return the other ways in which the solid can rest, by decreasing margin; parameters and errors as above."""
     facets = _Facets.of(mesh)
     found = []
     for rest, margin in facets.rests(_NO_MARGIN):
@@ -123,7 +123,7 @@ class _Facets(NamedTuple):
         return _Facets(hull, supports, margins)
 
     def rests(self, min_margin: float) -> list[tuple[int, float]]:
-        """Return the facet at rest, and the best margin, of each group of rolling neighbours, by falling margin."""
+        """Return the facet at rest, and the best margin, of each group of rolling neighbours, by decreasing margin."""
         found = []
         for group in _rolling_neighbours(self.supports, self.margins >= min_margin):
             best = self.supports[group[np.argmax(self.margins[group])]]
@@ -180,7 +180,7 @@ def _resting_pose(mesh: trimesh.Trimesh, rotation: FloatArray) -> FloatArray:
 
 
 def _ordered(found: list[tuple[Placement, FloatArray]]) -> tuple[Placement, ...]:
-    """Sort by falling margin, and within runs of equal margins by the support's normal."""
+    """Sort by decreasing margin, and within runs of equal margins by the support's normal."""
     found = sorted(found, key=lambda item: -item[0].margin)
     ranks = np.cumsum(np.diff([-placement.margin for placement, _ in found], prepend=-np.inf) > TIE)
     keys = [(rank, *(np.round(normal, 4) + 0.0)) for rank, (_, normal) in zip(ranks, found, strict=True)]

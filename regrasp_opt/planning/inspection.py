@@ -1,6 +1,6 @@
-"""What was understood of a workcell and an object, as data that JSON can hold: SI units, radians.
+"""How a workcell and an object were understood, as data that JSON can hold: SI units, radians.
 
-`regrasp-opt inspect` prints it. Nothing here decides anything; what decides is in the functions that are asked.
+`regrasp-opt inspect` prints it. Nothing is decided here: that is up to the functions that it asks.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Object poses as a person types them: ``PLACEMENT:x,y,yaw_deg`` or a JSON file with a 4x4 matrix."""
+"""Object poses as users type them: ``PLACEMENT:x,y,yaw_deg`` or a JSON file with a 4x4 matrix."""
 
 from __future__ import annotations
 

@@ -171,7 +171,7 @@ def assemble(
 
 
 def _usable(grasps: GraspSet, body: ObjectModel, workcell: Workcell) -> tuple[GraspSet, dict[int, str]]:
-    """Return those of `grasps`, which somebody gave, that hold the object, and why the others are left out."""
+    """Return those of the given `grasps` that hold the object, and why the others are left out."""
     effector = workcell.arm.end_effector
     if not isinstance(grasps, GraspSet):
         raise GraspError(f"grasps is a {type(grasps).__name__}; give a GraspSet of poses, widths and kind")

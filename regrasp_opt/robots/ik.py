@@ -1,7 +1,7 @@
-"""What every inverse kinematics shares: its interface, and how each branch is verified.
+"""What all inverse kinematics share: the interface, and how each branch is verified.
 
-A solver proposes joint values; `verify` folds them into the joint limits, drops those that have no place
-there, and keeps only those whose forward kinematics gives the pose that was asked for.
+A solver proposes joint values; `verify` folds them into the joint limits, drops those that do not fit,
+and keeps only those whose forward kinematics gives the pose that was asked for.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Whether an inverse kinematics finds the arm's own configurations, and the choice of one by that.
+"""Tests whether an inverse kinematics finds the arm's own configurations, and chooses a solver by that.
 
 Libraries fail for some arms without saying so: no branch for poses that the arm is at. So the solver is asked for
 the poses of seeded configurations, and its answers have to hold these configurations.
@@ -31,7 +31,7 @@ SAME = 1e-3
 
 
 class IkTest(NamedTuple):
-    """How an inverse kinematics did on configurations of the arm itself.
+    """How well an inverse kinematics did on configurations of the arm itself.
 
     Attributes
     ----------

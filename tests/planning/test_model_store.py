@@ -1,4 +1,4 @@
-"""Prepared models: made, found, used; and refused when they are broken, incomplete or somebody else's."""
+"""Prepared models: made, found, used; and refused when they are broken, incomplete or made for something else."""
 
 import json
 import shutil

@@ -118,7 +118,7 @@ def test_opti_finds_the_same_optimum(make_nlp, extended):
 
 
 def test_derivatives_in_an_opti_problem_match_finite_differences(setting):
-    """Objective and constraints of somebody's own problem mix our functions with their variables."""
+    """Objective and constraints of a user's own problem mix our functions with their variables."""
     energy, ends = setting
     E, Q_pair, J_seq = energy.casadi_functions(placements=PLACEMENTS, start=ends[0], goal=ends[1])
     opti = ca.Opti()

@@ -1,4 +1,4 @@
-"""The grown set of grasps in a search with free grasps, and how it grows by chance."""
+"""The growing set of grasps in a search with free grasps, and how it grows at random."""
 
 from __future__ import annotations
 

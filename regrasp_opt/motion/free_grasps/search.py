@@ -84,7 +84,7 @@ def solve_with_free_grasps(
     seed: int = 0,
     options: FreeGraspOptions | None = None,
 ) -> RegraspPlan:
-    """Plan with the grasps of `problem`, and where these hold no plan, with grasps moved on the object's surface.
+    """Plan with the grasps of `problem`, and where these allow no plan, with grasps moved on the object's surface.
 
     Parameters
     ----------

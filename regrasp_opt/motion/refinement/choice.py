@@ -3,7 +3,7 @@
 Every transition gives two layers of states, its free configurations at pick and at place, for each of its grasps. The
 shortest path through the layers is the least joint travel, found by dynamic programming: from pick to place the grasp
 stays, from place to the next pick it may change. Each joint takes the whole turns that bring it nearest to where it
-was. MeasureBounds on clearance and manipulability take states out beforehand.
+was. Bounds on clearance and manipulability remove states beforehand.
 """
 
 from __future__ import annotations

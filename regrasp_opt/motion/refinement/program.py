@@ -100,7 +100,7 @@ class JointTask(NamedTuple):
         Where the configurations start; they satisfy the kinematics.
     minimise : Measure
     bounds : MeasureBounds
-        MeasureBounds on the other measures.
+        Bounds on the other measures.
     home : (dof,) or None
         Where the arm starts and ends.
     cost : casadi.Function or None

@@ -85,7 +85,7 @@ def refine_plan(
     hold : iterable of measures
         What may not become worse than it is in `plan`.
     bounds : MeasureBounds, optional
-        MeasureBounds that the result must keep to.
+        Bounds that the result must keep to.
     options : SearchOptions, optional
         How much is tried.
 

@@ -1,7 +1,7 @@
 """The search behind `refine_plan`: rounds of a discrete choice, a nonlinear program and an exact check.
 
 In each round the free configurations of all shared grasps at the present poses are enumerated, the best choices among
-them are found (`joint_choice`), Ipopt moves poses and configurations of each together (`joint_program`), the
+them are found (`choice`), Ipopt moves poses and configurations of each together (`program`), the
 configurations are put exactly on their grasps, and the exact checker has the last word. A step that it refuses is
 shortened. The next round starts from the best poses, at which other grasps may be shared.
 """

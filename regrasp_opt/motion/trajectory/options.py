@@ -15,7 +15,7 @@ ACCELERATION = 5.0
 """Largest joint acceleration when none is given [rad/s^2, m/s^2]; URDF files do not state one."""
 
 LEAST_VELOCITY = 0.001
-"""Least share of the velocity limits: slower is hardly meant."""
+"""Smallest fraction of the velocity limits: slower is hardly intended."""
 LEAST_SPEED = 1e-6
 """Least speed of a joint [rad/s, m/s]; exported URDF files often have limits of 0, and no motion ends with these."""
 ACCELERATION_RANGE = 0.001, 1000.0
@@ -35,7 +35,7 @@ class MotionOptions:
         Configuration at which the motion begins and ends [rad]: the robot's home by default; with None it begins before
         the first approach and ends after the last retreat.
     velocity : float
-        Share of the joints' velocity limits that is used, from 0.001 to 1.
+        Fraction of the joints' velocity limits that is used, from 0.001 to 1.
     acceleration : float or (dof,) array_like
         Largest joint accelerations [rad/s^2], from 0.001 to 1000; for prismatic joints [m/s^2].
     distances : tuple of float

@@ -3,7 +3,7 @@
 For each transition the shared grasps are tried in the order of how far the arm would have to move. A grasp is taken
 when all seven of its motions, and the way to its approach, were verified. Straight motions are tried first for all
 grasps of a group; only then does the sampling planner look for ways around, at first briefly, and for longer once all
-groups have failed. Where the straight lines of the tool are not possible, tilted ones follow. At last the arm's other
+groups have failed. Where the straight lines of the tool are not possible, tilted ones follow. Finally the arm's other
 configurations are tried in the same way.
 """
 

@@ -2,7 +2,7 @@
 
 Two trees grow towards each other from both ends (Kuffner and LaValle, 2000); the polyline is then shortened by random
 cuts. Distances are bounds on how far any point moves [m], so a step is as long for the shoulder as for the wrist.
-Edges are sampled; the verification of the final trajectory is another module's.
+Edges are sampled; another module verifies the final trajectory.
 """
 
 from __future__ import annotations

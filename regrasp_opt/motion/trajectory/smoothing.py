@@ -1,4 +1,4 @@
-"""Runs: motions without a stop between the rests that picking and placing ask for.
+"""Motions without stops between the rests that picking and placing require.
 
 A motion that was found goes from rest to rest in every phase. Here all that lies between two rests of the jaw, and
 between those and home, becomes one run: it follows the tool's straight line away from a grasp for at least half of it,

@@ -12,8 +12,8 @@ transcribed directly: the positions ``q_k`` and velocities ``v_k`` of M knots jo
                 lower <= q_k <= upper
 
 Accelerations of a cubic are linear in time, so the limits hold all over it; its speed may exceed the limit by the
-little that `Trajectory.within` takes back. Collisions are not known here: bounds on ``q_k`` keep it near a given path,
-and the verification follows.
+little that `Trajectory.within` takes back. Collisions are not considered here: bounds on ``q_k`` keep it near a given
+path, and the result is verified afterwards.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ Along a path ``q(s)`` the square ``x = s'^2`` of the path speed makes both limit
     |dq/ds|^2 x <= v_max^2,        |d2q/ds2 x + dq/ds u| <= a_max.
 
 Raising ``x`` anywhere makes the motion faster, so the fastest motion is the largest ``x``: a linear program. The knots
-it gives are joined by cubics, and the whole is slowed by the little by which these exceed a limit.
+it gives are joined by cubics, and the whole is slowed down by what these still exceed a limit.
 """
 
 from __future__ import annotations
