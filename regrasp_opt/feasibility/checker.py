@@ -159,7 +159,7 @@ class FeasibilityChecker:
 
     def object_problem(self, T: FloatArray) -> str | None:
         """Return what the object at `T` (4, 4) does that it must not, or None."""
-        problem = standing_problem(self._vertices @ T[:3, :3].T + T[:3, 3], self.workcell)
+        problem = standing_problem(self._vertices @ T[:3, :3].T + T[:3, 3], self.workcell.table)
         near = None if problem else self.object_overlaps(T, self.workcell.clearance.gripper)
         return problem if near is None else f"is too near to {near}"
 

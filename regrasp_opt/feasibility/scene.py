@@ -24,8 +24,7 @@ class CollisionScene(CollisionModel):
         swept = 2 * world.workcell.arm.end_effector.pre_opening
         self._openings = [(width, width + swept) for width in grasps.width.tolist()]
         self.set_grasp(0)
-        self._geometry_data = self.queries(self.required)
-        self._boxes_first = self.boxes_first(self._geometry_data)
+        self._boxes_first, self._queries = self.test(self.required)
         self._placed = b""
         self._measured = np.array([(i, j, k) for k, (i, j) in enumerate(self.pairs) if j in world.surroundings])
         items = [item.geometry for item in self.geometry.geometryObjects]
@@ -51,8 +50,8 @@ class CollisionScene(CollisionModel):
 
     def collisions(self, q: FloatArray) -> list[tuple[int, int]]:
         """Return the pairs of bodies, by index, that are nearer than their clearance at `q`, or one in the other."""
-        pin.computeCollisions(self.model, self.data, self.geometry, self._geometry_data, q, False)
-        near = {k for k, result in enumerate(self._geometry_data.collisionResults) if result.isCollision()}
+        pin.computeCollisions(self.model, self.data, self.geometry, self._queries, q, False)
+        near = {k for k, result in enumerate(self._queries.collisionResults) if result.isCollision()}
         return [self.pairs[k] for k in sorted(near.union(self.inside.found(q)))]
 
     def clearance(self, q: FloatArray) -> float:
@@ -62,8 +61,8 @@ class CollisionScene(CollisionModel):
         links are always near each other.
         """
         pin.forwardKinematics(self.model, self.data, q)
-        pin.updateGeometryPlacements(self.model, self.data, self.geometry, self._geometry_data)
-        poses = self._geometry_data.oMg
+        pin.updateGeometryPlacements(self.model, self.data, self.geometry, self._queries)
+        poses = self._queries.oMg
         centers = np.array([poses[i].act(c) for i, c in enumerate(self._centers)])
         first, second = self._measured[:, 0], self._measured[:, 1]
         gaps = np.linalg.norm(centers[first] - centers[second], axis=1) - self._radii[first] - self._radii[second]
@@ -75,7 +74,7 @@ class CollisionScene(CollisionModel):
             if gaps[k] >= least:  # spheres around the bodies are farther apart than the nearest pair so far
                 break
             i, j, index = self._measured[k].tolist()
-            distance = pin.computeDistance(self.geometry, self._geometry_data, index).min_distance
+            distance = pin.computeDistance(self.geometry, self._queries, index).min_distance
             if distance <= 0 and solids[i].is_mesh and solids[j].is_mesh:  # Coal says 0 however deep they overlap
                 distance = overlap(solids[i], solids[j])
             least = min(least, distance)

@@ -29,7 +29,7 @@ def checked_end(T: Any, name: str, problem: ProblemData) -> FloatArray:
     T = as_pose(T, f"{name} pose")
     vertices = problem.object.vertices @ T[:3, :3].T + T[:3, 3]
     _check_workspace(T, name, problem.object, problem.workcell, vertices)
-    problem_at_rest = resting_problem(vertices, _center(T, problem.object), problem.workcell)
+    problem_at_rest = resting_problem(vertices, _center(T, problem.object), problem.workcell.table)
     if problem_at_rest is None and problem.object.rolls(T):
         problem_at_rest = "would roll"
     if problem_at_rest is not None:

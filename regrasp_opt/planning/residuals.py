@@ -62,7 +62,7 @@ class TransitionResiduals:
 
 @dataclass(frozen=True)
 class Residuals:
-    """The recomputed proof of a plan.
+    """The certificate of a plan, recomputed.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Residuals:
     placement_error : (N,)
         Distance of each intermediate pose from its stable placement moved by its planar parameters [m or rad].
     problems : tuple of str
-        One sentence for each claim that does not hold; empty if the plan is proved.
+        One sentence for each claim that does not hold; empty if the plan is verified.
     """
 
     transitions: tuple[TransitionResiduals, ...]

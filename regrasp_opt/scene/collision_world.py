@@ -8,6 +8,7 @@ the arm's own. The tool may touch what turns with the flange.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import Enum, auto
 from typing import Any, NamedTuple
 
@@ -81,7 +82,7 @@ class CollisionWorld:
     supports, obstacles : tuple of int
     object : int
     surroundings : frozenset of int
-        What the clearance of a grasp is measured to: supports, obstacles, object.
+        What the clearance of a grasp is measured to: supports, obstacles, those in the robot's own file, the object.
     tip_joint : int
         The joint that carries the tool.
     T_tip_flange : (4, 4) array
@@ -89,36 +90,34 @@ class CollisionWorld:
     """
 
     def __init__(self, workcell: Workcell, model: ObjectModel | None = None) -> None:
-        self.workcell, self._robot = workcell, workcell.arm.robot
-        robot, effector = workcell.arm.robot, workcell.arm.end_effector
+        self.workcell, robot, effector = workcell, workcell.arm.robot, workcell.arm.end_effector
         tip = robot.model.frames[robot.model.getFrameId(robot.tip_frame)]
         self.tip_joint, self.T_tip_flange = int(tip.parentJoint), tip.placement.homogeneous
         self.bodies: list[Body] = []
         for index, item in enumerate(robot.collision.geometryObjects):
-            joint, T = int(item.parentJoint), item.placement.homogeneous
-            T = T if joint else workcell.arm.T_world_base @ T
-            self.bodies.append(Body(item.name, robot.link_of(index), joint, T, item.geometry))
+            T = (
+                item.placement.homogeneous
+                if item.parentJoint
+                else workcell.arm.T_world_base @ item.placement.homogeneous
+            )
+            self.bodies.append(Body(item.name, robot.link_of(index), int(item.parentJoint), T, item.geometry))
         self.moving = tuple(i for i, body in enumerate(self.bodies) if body.joint)
         self.still = tuple(i for i, body in enumerate(self.bodies) if not body.joint)
-        self.palm = self._add(effector.body, "gripper ")
-        self.fingers = self._add(effector.finger_boxes(0.0), "gripper ")
+        self.palm = self._add(effector.body, self.tip_joint)
+        self.fingers = self._add(effector.finger_boxes(0.0), self.tip_joint)
         self.gripper = (*self.palm, *self.fingers)
-        self.supports = self._add([support.shape for support in workcell.supports])
-        self.obstacles = self._add(workcell.obstacles)
+        self.supports = self._add([support.shape for support in workcell.supports], WORLD)
+        self.obstacles = self._add(workcell.obstacles, WORLD)
         self.object = len(self.bodies)
         if model is not None:
             mesh = mesh_geometry(model.vertices, model.faces)
             self.bodies.append(Body("object", "object", WORLD, np.eye(4), mesh))
         self.surroundings = frozenset((*self.supports, *self.obstacles, self.object, *robot.obstacles))
 
-    def _add(self, shapes: Any, prefix: str = "") -> tuple[int, ...]:
-        first = len(self.bodies)
-        self.bodies += [self._body(shape, prefix) for shape in shapes]
+    def _add(self, shapes: Sequence[Shape], joint: int) -> tuple[int, ...]:
+        first, (T, prefix) = len(self.bodies), (self.T_tip_flange, "gripper ") if joint else (np.eye(4), "")
+        self.bodies += [Body(prefix + s.name, s.name, joint, T @ s.pose, shape_geometry(s)) for s in shapes]
         return tuple(range(first, len(self.bodies)))
-
-    def _body(self, shape: Shape, prefix: str) -> Body:
-        joint, T = (self.tip_joint, self.T_tip_flange @ shape.pose) if prefix else (WORLD, shape.pose)
-        return Body(prefix + shape.name, shape.name, joint, T, shape_geometry(shape))
 
     def finger_poses(self, width: float) -> list[FloatArray]:
         """Return the poses (4, 4) of the fingers at a jaw width [m], in the frame of the tip's joint."""
@@ -126,37 +125,34 @@ class CollisionWorld:
 
     def pairs(self, phase: Phase) -> list[Pair]:
         """Return the bodies that must be apart in a phase, with their clearances."""
-        robot, near = self._robot, self.workcell.clearance
+        robot, near, held = self.workcell.arm.robot, self.workcell.clearance, (self.object,)
         if phase is Phase.REST:
-            return [(self.object, i, near.gripper) for i in (*self.obstacles, *self.still)]
-        before_tip = [i for i in range(robot.collision.ngeoms) if self.bodies[i].joint < robot.dof]
-        beside = (self.object,) if phase in (Phase.GRASP, Phase.MOVE) else ()
-        fixed = (*self.supports, *beside, *self.obstacles)
-        arm = [(i, j, near.arm) for i in self.moving for j in fixed]
-        gripper = [(i, j, near.gripper) for i in self.gripper for j in (*self.supports, *self.obstacles)]
-        tool = [
-            (i, j, near.gripper if j in robot.obstacles else near.self_collision)
-            for i in self.gripper
-            for j in before_tip
+            return _apart(held, (*self.obstacles, *self.still), near.gripper)
+        around, own = (*self.supports, *self.obstacles), robot.obstacles
+        base = [i for i in self.still if i not in own]
+        inner = [i for i in self.moving if self.bodies[i].joint < self.tip_joint]
+        tool = _apart(self.gripper, (*base, *inner), near.self_collision)
+        tool += _apart(self.gripper, sorted(own), near.gripper)
+        links = [
+            (j, i, near.arm) if i in own else (i, j, near.arm if j in own else near.self_collision)
+            for i, j in robot.self_collision_pairs()
         ]
         if phase is Phase.HOME:
-            return [*self._links(), *((i, j, 0.0) for i, j, _ in (*arm, *gripper)), *tool]
-        pairs = [*arm, *gripper, *tool, *self._links()]
+            return links + _apart((*self.moving, *self.gripper), around, 0.0) + tool
+        resting = held if phase in (Phase.GRASP, Phase.MOVE) else ()
+        pairs = _apart(self.moving, (*self.supports, *resting, *self.obstacles), near.arm)
+        pairs += _apart(self.gripper, around, near.gripper) + tool + links
         if phase is Phase.MOVE:
-            pairs += [(i, self.object, 0.0) for i in self.gripper]
+            pairs += _apart(self.gripper, held, 0.0)
         if phase in (Phase.LIFT, Phase.CARRY):
-            pairs += [(self.object, i, near.arm if self.bodies[i].joint else near.gripper) for i in before_tip]
-            pairs += [(self.object, i, near.gripper) for i in self.obstacles]
+            pairs += _apart(held, inner, near.arm) + _apart(held, (*self.still, *self.obstacles), near.gripper)
         if phase is Phase.CARRY:
-            pairs += [(self.object, i, near.gripper) for i in self.supports]
+            pairs += _apart(held, self.supports, near.gripper)
         return pairs
 
-    def _links(self) -> list[Pair]:
-        own, near = self._robot.obstacles, self.workcell.clearance
-        return [
-            (j, i, near.arm) if i in own else (i, j, near.arm if j in own else near.self_collision)
-            for i, j in self._robot.self_collision_pairs()
-        ]
+
+def _apart(bodies: Sequence[int], others: Sequence[int], clearance: float) -> list[Pair]:
+    return [(i, j, clearance) for i in bodies for j in others]
 
 
 def collision_at_home(workcell: Workcell) -> tuple[str, str] | None:

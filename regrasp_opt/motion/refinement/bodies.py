@@ -92,7 +92,6 @@ def configuration_rows(problem: RegraspProblem) -> Rows:
     capsules = {i: _capsule(world.bodies[i]) for i in (*world.moving, *world.still, *world.palm)}
     fingers = arm.end_effector.finger_boxes(0.0, arm.end_effector.pre_opening)
     for number, (i, shape) in enumerate(zip(world.fingers, fingers, strict=True)):
-        # turned into the joint's frame below: the jaw moves in the flange's
         capsule = covering_capsule(world.bodies[i].name, shape_geometry(shape)).moved(shape.pose)
         aside = ca.vertcat(0, (0.5 if number < len(fingers) / 2 else -0.5) * width, 0)
         moved = capsule._replace(a=capsule.a + aside, b=capsule.b + aside)

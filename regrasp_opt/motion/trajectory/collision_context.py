@@ -1,7 +1,7 @@
 """What the arm may run into while it moves: with the jaw open beside a resting object, or with the object in its hand.
 
 Distances that must be kept are those of the workcell, the same as in the feasibility checks; what touches by design
-is left out, as each setting says. Every setting can be asked at several `LEVELS`: level k demands what is needed so
+is left out, as each context says. Every context can be asked at several `LEVELS`: level k demands what is needed so
 that bodies which move by at most ``LEVELS[k]`` between two samples cannot touch in between (see
 `regrasp_opt.motion.trajectory.continuous_collision`).
 """
@@ -22,7 +22,7 @@ from regrasp_opt.scene.collision_model import CollisionModel
 from regrasp_opt.scene.collision_world import WORLD, CollisionWorld, Phase
 
 LEVELS = 0.032 / 2.0 ** np.arange(10)
-"""Motion between two samples [m] that each level of a setting allows for: 32 mm down to 0.06 mm."""
+"""Motion between two samples [m] that each level of a context allows for: 32 mm down to 0.06 mm."""
 
 FLOOR = 0.5
 """Share of a clearance that is left between samples at least; at the samples all of it is."""
@@ -119,12 +119,13 @@ class _Model(CollisionModel):
         super().__init__(world, phase)
         self._robot = world.workcell.arm.robot
         self._arrangement: _Arrangement | None = None
-        self._tests: dict[Phase, list[tuple[Any, Any]]] = {}  # a test does not keep its queries alive
+        self._tests: dict[Phase, list[tuple[Any, Any]]] = {}
 
     def context(self, phase: Phase, arrangement: _Arrangement) -> CollisionContext:
         """Return the context of an arrangement in a phase whose pairs this model's begin with."""
         if phase not in self._tests:
-            self._tests[phase] = [self._test(size, len(self.world.pairs(phase))) for size in LEVELS]
+            margins = [np.maximum(self.required, FLOOR * self.required + size / 2) for size in LEVELS]
+            self._tests[phase] = [self.test(least, len(self.world.pairs(phase))) for least in margins]
         tests = self._tests[phase]
 
         def passes(q: FloatArray, level: int) -> bool:
@@ -132,13 +133,6 @@ class _Model(CollisionModel):
             return not (pin.computeCollisions(self.model, self.data, tests[level][0], q, True) or self.inside.found(q))
 
         return CollisionContext(passes, self._reach(arrangement))
-
-    def _test(self, size: float, count: int) -> tuple[Any, Any]:
-        """Return the test of the first `count` pairs at one level, and its queries; see `LEVELS`."""
-        queries = self.queries(np.maximum(self.required, FLOOR * self.required + size / 2))
-        for pair in range(count, len(self.required)):
-            queries.deactivateCollisionPair(pair)
-        return self.boxes_first(queries), queries
 
     def _arrange(self, arrangement: _Arrangement) -> None:
         """Put object and fingers where they belong, unless they are there already."""
