@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from regrasp_opt.end_effectors import load_end_effector
 from regrasp_opt.grasps import GraspSet, sample_grasps
 from regrasp_opt.grasps.antipodal import WIDENINGS
-from regrasp_opt.grasps.projection import SHIFT, GraspProjector
+from regrasp_opt.grasps.projection import SHIFT, GraspProjector, _central_pair
 from regrasp_opt.grasps.suction import NO_SEAL
 from regrasp_opt.objects import ObjectModel
 
@@ -147,3 +147,10 @@ def test_tool_poses_anywhere_hold_the_object_between_the_jaws(jaw: tuple[GraspPr
         ends = poses[:, :3, 3] + side * width[:, None] * poses[:, :3, 1]
         assert np.abs(trimesh.proximity.signed_distance(PLATE.mesh, ends)).max() < 1e-9
     assert projector.worst_grade(GraspSet(T, np.full(len(T), THICKNESS), "parallel")) == 0
+
+
+def test_the_pair_of_crossings_nearest_to_the_middle_is_taken():
+    distance, facing = np.array([-0.020, 0.0, 0.012, 0.019]), np.array([-1.0, -1.0, 1.0, 1.0])
+    assert _central_pair(distance, facing, 0.9, 0.1) == (0, 3)  # 0.5 mm off the middle; the narrowest is 6 mm off
+    assert _central_pair(distance, facing, 0.9, 0.035) == (0, 2)
+    assert _central_pair(distance, facing * 0.8, 0.9, 0.1) is None

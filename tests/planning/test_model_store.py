@@ -14,7 +14,7 @@ from regrasp_opt.errors import GraspError, ModelError, OptionError, RegraspError
 from regrasp_opt.geometry.shapes import Box
 from regrasp_opt.planning import prepare as prepare_module
 from regrasp_opt.planning.model_key import ModelKey
-from regrasp_opt.planning.model_store import bundled_models, find_model
+from regrasp_opt.planning.model_store import bundled_models, command_arguments, find_model
 from regrasp_opt.planning.tasks import random_task
 from regrasp_opt.scene import Clearance, WorkspaceBounds
 
@@ -234,3 +234,13 @@ def test_bundled_models_are_whole_small_and_good(name):
     assert report["held_out"]["paper"]["average_precision"] > 0.8
     assert report["command"].startswith(f"regrasp-opt prepare {name} --workcell nova2-w")
     assert len(problem.energy) == len(problem.grasps) == 200
+
+
+def test_the_command_that_prepares_names_all_that_the_problem_was_loaded_with(tmp_path):
+    mesh = tmp_path / "two words.stl"
+    load_object("pentagon").mesh.export(mesh)
+    body = load_object(mesh, scale=0.5, repair=True)
+    cell = load_workcell("nova2-w", end_effector="r85")
+    assert command_arguments(load_object("pentagon"), load_workcell("nova2-s1")) == "pentagon --workcell nova2-s1"
+    wanted = f"'{mesh}' --workcell nova2-w --end-effector r85 --scale 0.5 --repair"
+    assert command_arguments(body, cell) == wanted
