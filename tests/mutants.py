@@ -38,6 +38,8 @@ ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "mutants"
 LAYERS = ("connectivity", "energy", "feasibility", "grasps", "objects", "planning", "robots", "solvers")
 SLOW = "tests/planning/test_hundred_pairs.py"
+ELSEWHERE = ("tests/cli/test_inspect.py",)
+"""Tests of these layers that stand in other folders."""
 Mutated = dict[str, Any]
 """A file with all its mutants: ``code``, ``names``, the lines (``spans``) and ``hashes`` of its functions."""
 UNSEEN = ("survived", "no_tests")
@@ -273,6 +275,7 @@ def main() -> None:
     os.environ["PYTHONPATH"] = str(FOLDER)
     files = [str(file) for layer in LAYERS for file in sorted((ROOT / "tests" / layer).glob("test_*.py"))]
     files.remove(str(ROOT / SLOW))
+    files += [str(ROOT / name) for name in ELSEWHERE]
     ours = [
         "-q",
         "-s",
