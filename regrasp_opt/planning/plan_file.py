@@ -45,23 +45,9 @@ class _Workcell(SceneRecord):
     name: str
     end_effector: str | None
 
-    def load(self) -> Workcell:
-        cell = _load_workcell(self)
-        added = [obstacle.shape() for obstacle in self.obstacles if obstacle.added]
-        return cell.with_obstacles(added) if added else cell
-
-    def changes(self, cell: Workcell) -> list[str]:
-        return scene_changes(self, cell)
-
 
 class _Workcell1(Reference):
     end_effector: str | None = None
-
-    def load(self) -> Workcell:
-        return _load_workcell(self)
-
-    def changes(self, cell: Workcell) -> list[str]:
-        return [] if cell.fingerprint() == self.fingerprint else ["a file of schema 1 does not tell what"]
 
 
 class _Grasp(Section):
@@ -194,14 +180,7 @@ def _problem(content: _File, path: Path) -> RegraspProblem:
     body = load_object(what.name if what.source == "built-in" else what.source, scale=what.scale, repair=what.repair)
     if body.fingerprint() != what.fingerprint:
         raise PlanFileError(f"the object '{what.name}' has changed since the plan '{path}' was made; plan again")
-    cell = content.workcell.load()
-    changes = content.workcell.changes(cell)
-    if changes:
-        more = f", and {len(changes) - NAMED} more" if len(changes) > NAMED else ""
-        raise PlanFileError(
-            f"the workcell '{content.workcell.name}' has changed since the plan '{path}' was made "
-            f"({', '.join(changes[:NAMED])}{more}); plan again"
-        )
+    cell = _unchanged_cell(content.workcell, path)
     try:
         T = np.array([as_pose(g.T_object_tcp, f"grasp {i}") for i, g in enumerate(content.grasps)])
     except PoseError as error:
@@ -211,9 +190,21 @@ def _problem(content: _File, path: Path) -> RegraspProblem:
     return assemble(body, cell, grasps, find_model(body, cell))  # all of them: transitions name them by number
 
 
-def _load_workcell(record: _Workcell | _Workcell1) -> Workcell:
+def _unchanged_cell(record: _Workcell | _Workcell1, path: Path) -> Workcell:
     name = record.name if record.source == "built-in" else record.source
-    return load_workcell(name, end_effector=record.end_effector)
+    cell = load_workcell(name, end_effector=record.end_effector)
+    if isinstance(record, _Workcell):
+        cell = cell.with_obstacles(obstacle.shape() for obstacle in record.obstacles if obstacle.added)
+        changes = scene_changes(record, cell)
+    else:
+        changes = [] if cell.fingerprint() == record.fingerprint else ["schema 1 does not tell what"]
+    if changes:
+        more = f", and {len(changes) - NAMED} more" if len(changes) > NAMED else ""
+        raise PlanFileError(
+            f"the workcell '{record.name}' has changed since the plan '{path}' was made "
+            f"({', '.join(changes[:NAMED])}{more}); plan again"
+        )
+    return cell
 
 
 def _transition(record: _Transition, problem: RegraspProblem, path: Path) -> Transition:
