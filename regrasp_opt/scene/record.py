@@ -16,6 +16,7 @@ from pydantic import Field, model_validator
 
 from regrasp_opt.conventions import FloatArray, pose_distance, rotation_rpy, rpy_angles, translation
 from regrasp_opt.files import content_hash
+from regrasp_opt.geometry.mesh_files import LARGEST_MESH
 from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh, Shape
 from regrasp_opt.scene.schema import SIZE_KEYS, ClearanceSection, Length, TableSection, Vector, WorkspaceSection
 from regrasp_opt.scene.workcell import Workcell
@@ -27,6 +28,7 @@ UNCOMPARED = {"name", "position", "rpy", "added", "vertices", "faces"}
 """Keys of a record that are compared otherwise, or not."""
 
 Index = Annotated[int, Field(ge=0)]
+Coordinate = Annotated[float, Field(ge=-LARGEST_MESH, le=LARGEST_MESH)]
 
 
 class Reference(Section):
@@ -74,7 +76,7 @@ class ObstacleRecord(Placed):
     radius: Length | None = None
     length: Length | None = None
     fingerprint: str | None = None
-    vertices: list[Vector] | None = None
+    vertices: list[tuple[Coordinate, Coordinate, Coordinate]] | None = None
     faces: list[tuple[Index, Index, Index]] | None = None
     added: bool = False
 
@@ -153,6 +155,7 @@ def _obstacle(shape: Shape, added: bool) -> dict[str, Any]:
     return {"type": "mesh", "fingerprint": content_hash(shape.vertices, shape.faces), **whole, **placed}
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of numbers that a damaged file holds
 def scene_changes(before: SceneRecord, cell: Workcell) -> list[str]:
     """Return a clause for each difference between `before` and `cell`; names alone, and the order, do not matter."""
     now = SceneRecord.model_validate(scene_content(cell))

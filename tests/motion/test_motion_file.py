@@ -151,3 +151,13 @@ def test_the_scene_is_read_by_another_urdf_reader(motion, tmp_path):
     held = {entry["grasp_id"]: np.array(entry["T_tcp_object"]) for entry in scene["object_in_hand"]}
     for g, T in held.items():
         assert np.allclose(T @ problem.grasps.T_object_tcp[g], np.eye(4), atol=1e-12)
+
+
+def test_a_motion_of_a_plan_of_schema_1_is_read(motion, path, tmp_path):
+    content = json.loads(path.read_text("utf-8"))
+    cell = motion.plan.problem.workcell
+    reference = {key: content["plan"]["workcell"][key] for key in ("source", "name", "end_effector")}
+    content["plan"] |= {"schema": 1, "workcell": reference | {"fingerprint": cell.fingerprint()}}
+    (tmp_path / "old.json").write_text(json.dumps(content), "utf-8")
+    old = MotionPlan.load(tmp_path / "old.json")
+    assert old.duration == motion.duration and old.plan.problem.workcell.fingerprint() == cell.fingerprint()
