@@ -36,7 +36,7 @@ def refused(load, path, content, said, error=WorkcellError):
 @pytest.mark.parametrize("name", [LONG, NUL], ids=["long", "null"])
 def test_names_that_no_file_can_have_are_refused(name, tmp_path):
     path, robot = tmp_path / "file.toml", tmp_path / "arm.urdf"
-    refused(load_workcell, path, CELL + MESH.format(name + ".stl"), "of obstacle 'part' is not there")
+    refused(load_workcell, path, CELL + MESH.format(name + ".stl"), "of obstacle 'part' does not exist")
     refused(load_workcell, path, CELL.replace('"nova2"', f'"{name}.urdf"'), "robot file .* cannot be read")
     refused(load_workcell, path, CELL.replace('"w"', f'"{name}.toml"'), "end-effector file .* cannot be read")
     plain = name.replace("\\u0000", "")

@@ -71,7 +71,7 @@ def run_bench(
     name : str
         One of `EXPERIMENTS`, or `SPEED`, which knows neither workers nor seeds.
     out : Path
-        Folder of all experiments; a run that was interrupted there goes on.
+        Folder of all experiments; a run that was interrupted there resumes.
     quick : bool
         Minutes instead of the paper's sizes.
     objects : Path, optional

@@ -43,7 +43,7 @@ def install() -> None:
 
 def resumable() -> None:
     """Say, if the command is interrupted, that the same command resumes where this one stopped."""
-    _message[0] = "interrupted; run the same command again to go on from here"
+    _message[0] = "interrupted; run the same command again to resume"
 
 
 def let_go() -> None:

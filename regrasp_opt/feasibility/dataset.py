@@ -1,7 +1,7 @@
 """Labelled (pose, grasp) pairs: what the energy is trained on and calibrated with.
 
 Poses are random stable placements at uniform planar parameters in the workspace. Training pairs are drawn in seeded
-blocks until enough are feasible; every block that is done is on disk, so an interrupted run goes on where it stopped.
+blocks until enough are feasible; every finished block is on disk, so an interrupted run resumes where it stopped.
 Validation poses are labelled for every grasp, because calibration needs to know which grasps two poses share.
 """
 

@@ -1,7 +1,7 @@
 """Why grasps are not feasible: for each (pose, grasp) pair the cause that keeps the arm from holding it there.
 
 Causes are looked for in the order of the check (`checker`). Where the arm reaches a grasp in several configurations,
-the one with the fewest colliding pairs of bodies tells, since it is the nearest to being free.
+the one with the fewest colliding pairs of bodies counts, since it is the nearest to being free.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the table rules out for good: grasps that put the gripper or the wrist into it at every pose of a placement.
+"""What the table always rules out: grasps that put the gripper or the wrist into it at every pose of a placement.
 
 A planar motion turns an object about the vertical and moves it along the table, so the height of the gripper stays
 the same, and so does that of the wrist as far as the last joint's turning does not move it. A point of these bodies

@@ -1,6 +1,6 @@
 """Triangles of a COLLADA file (DAE), in metres.
 
-Lengths are multiplied with the file's unit. Its ``up_axis`` is passed over, as in RViz, MoveIt and Gazebo, for which
+Lengths are multiplied with the file's unit. Its ``up_axis`` is ignored, as in RViz, MoveIt and Gazebo, for which
 URDF files are made: the axes of the file are those of the link.
 """
 

@@ -52,7 +52,7 @@ def solve_many(
     Returns
     -------
     list of RegraspPlan or RegraspError
-        A task whose start or goal is refused has the error in its place; the others go on.
+        A task whose start or goal is refused has the error in its place; the others are planned.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What a model was made for, part by part, so that it can be said which part of a scene it does not fit."""
+"""What a model was made for, part by part, so that messages can name the part of a scene that it does not fit."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FORMAT = 1
 class ModelKey:
     """A hash of each part of a scene that decides which grasps are feasible, and `id`, one of all.
 
-    An energy belongs to its arm (`robot`, `mounting`, `end_effector`): what it says of another is worth nothing. The
+    An energy belongs to its arm (`robot`, `mounting`, `end_effector`): what it says of another is meaningless. The
     other parts say in which scene it was labelled. Today a model is found by `id`, which means for exactly this scene.
     """
 

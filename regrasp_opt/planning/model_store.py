@@ -123,7 +123,7 @@ def write_report(folder: Path, report: dict[str, Any]) -> None:
 
 
 def command_arguments(body: ObjectModel, workcell: Workcell) -> str:
-    """Return how `prepare` is told of an object and a workcell on the command line."""
+    """Return the arguments that name an object and a workcell on the command line of `prepare`."""
     parts = [body.name if body.source == "built-in" else body.source]
     parts += ["--workcell", workcell.name if workcell.source == "built-in" else workcell.source]
     if workcell.end_effector_override is not None:

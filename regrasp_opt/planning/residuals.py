@@ -1,9 +1,9 @@
-"""Proof of a plan from problem data alone, along a path apart from the planner's checks.
+"""The certificate of a plan: its claims recomputed from problem data, by other means than the planner's.
 
 Forward kinematics come from Pinocchio's own algorithm on the robot's URDF model, distances from one `coal.distance`
 call for each pair of bodies, with the fingers where they stand at the grasp width and at the width they approach
 with. The planner uses inverse kinematics, swept fingers and batched collision tests instead. Every claimed grasp is
-held against the object (`regrasp_opt.grasps.holding`). Which bodies there are, which of them may touch, and the
+tested on the object (`regrasp_opt.grasps.holding`). Which bodies there are, which of them may touch, and the
 clearances of all others come from the same `CollisionWorld`. A plan's cost is a record and is not recomputed.
 """
 

@@ -1,6 +1,6 @@
 """The bodies of a robot: every ``<collision>`` element of its URDF as a Coal geometry, or an error that names it.
 
-They are not left to Pinocchio, which passes over elements that it does not know or cannot read.
+They are not left to Pinocchio, which skips elements that it does not know or cannot read.
 """
 
 from __future__ import annotations

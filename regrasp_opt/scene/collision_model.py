@@ -81,7 +81,7 @@ def settle_queries(data: Any, margins: FloatArray) -> None:
     """Set up all queries of a `pin.GeometryData` for the least allowed distances `margins`, one a pair [m].
 
     Two defaults are changed. GJK would start from the last result, so that answers depend on the order of questions.
-    And bodies that overlap by up to a millimetre would pass for apart now and then: where GJK ends because they are
+    And bodies that overlap by up to a millimetre would sometimes pass for apart: where GJK ends because they are
     nearer than its tolerance, its distance is a little above zero; with contacts asked for, EPA measures the overlap.
     """
     with warnings.catch_warnings():

@@ -183,7 +183,7 @@ def _mesh(section: ObstacleSection, path: Path, pose: FloatArray) -> Mesh:
     file = path.parent / str(section.file)
     where = f"{path}: mesh '{file}' of obstacle '{section.name}'"
     if not os.path.isfile(file):
-        raise WorkcellError(f"{where} is not there; give a path relative to the workcell file")
+        raise WorkcellError(f"{where} does not exist; give a path relative to the workcell file")
     try:
         vertices, faces = read_triangles(file)
     except MeshError as error:

@@ -87,7 +87,7 @@ class ObstacleRecord(Placed):
             if not getattr(self, key):
                 raise ValueError(f"a {self.type} needs the key '{key}'")
         if self.faces and max(map(max, self.faces)) >= len(self.vertices or ()):
-            raise ValueError("a face names a vertex that is not there")
+            raise ValueError("a face names a vertex that does not exist")
         return self
 
     def shape(self) -> Shape:

@@ -55,7 +55,7 @@ FAULTS = {
     "segments.2.jaw.0": lambda c: c["segments"][2].update(jaw=[-3.0, 0.1]),
     "velocity_limits.0": lambda c: c["velocity_limits"].__setitem__(0, 0.0),
     "if it is solved, and only then": lambda c: c.update(segments=[]),
-    "not there": lambda c: c["segments"][1].update(transition=9),
+    "unknown transition": lambda c: c["segments"][1].update(transition=9),
     "other joints": lambda c: c.update(joint_names=["a"] * 6),
     "plan schema": lambda c: c["plan"].update(schema=7),
 }

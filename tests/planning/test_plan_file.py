@@ -291,7 +291,7 @@ def rotated(pitch):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"faces": [[0, 1, 9]]}, "a face names a vertex that is not there"),
+        ({"faces": [[0, 1, 9]]}, "a face names a vertex that does not exist"),
         ({"faces": [[0, 1, -1]]}, "faces"),
         ({"vertices": []}, "needs the key 'vertices'"),
         ({"type": "box"}, "needs the key 'size'"),

@@ -230,7 +230,7 @@ def test_wrong_keys_and_values_are_named(write, old, new, said):
         (CYLINDER.replace("radius = 0.03", "radius = 0.0"), "obstacles.0.radius': should be greater than 0"),
         (BOX + BOX, "the name 'crate' is taken"),
         (BOX.replace("crate", "table"), "the name 'table' is taken"),
-        (MESH, "of obstacle 'part' is not there"),
+        (MESH, "of obstacle 'part' does not exist"),
     ],
 )
 def test_wrong_obstacles_are_named(write, obstacle, said):

@@ -136,7 +136,7 @@ def _segment(record: _Segment, plan: RegraspPlan, path: Path) -> Segment:
     if record.times[0] != 0 or (np.diff(record.times) <= 0).any():
         raise PlanFileError(f"'{path}': the times of a segment do not ascend from 0; plan the motion again")
     if record.transition >= len(plan.transitions) or record.grasp_id >= len(plan.problem.grasps):
-        raise PlanFileError(f"'{path}': a segment names a transition or grasp that is not there; plan the motion again")
+        raise PlanFileError(f"'{path}': a segment names an unknown transition or grasp; plan the motion again")
     trajectory = Trajectory(
         *(np.array(x, dtype=np.float64) for x in (record.times, record.positions, record.velocities))
     )
