@@ -1,6 +1,6 @@
 """From a mesh, a robot and a workcell of your own to a page that shows a plan.
 
-Writes a bracket (STL), a six-axis arm (URDF) and a workcell with a shelf (TOML) into the present folder, prepares a
+Writes a bracket (STL), a six-axis arm (URDF) and a workcell with a shelf (TOML) into the current folder, prepares a
 small model for them, plans, and writes own_plan.html: `python examples/02_own_mesh_and_robot.py`.
 """
 

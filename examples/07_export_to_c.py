@@ -1,6 +1,6 @@
 """`J_seq` with its gradient as C code, minimised by a loop that knows nothing of Python.
 
-Writes jseq.c into the present folder, compiles it together with 07_export_to_c.c by the system's C compiler, and lets
+Writes jseq.c into the current folder, compiles it together with 07_export_to_c.c by the system's C compiler, and lets
 the program improve a pose of the lattice; Ipopt's result stands beside it: `python examples/07_export_to_c.py`.
 """
 

@@ -91,7 +91,7 @@ def run_command_line(path: Path) -> None:
         raise RuntimeError(f"exit {code}, but it changed {sorted(changed)}")
     if code == 2:
         if not said.startswith("error: "):
-            raise RuntimeError(f"exit 2, but the last line is no error: {said}")
+            raise RuntimeError(f"exit 2, but the last line is not an error: {said}")
         raise OptionError(said)
 
 

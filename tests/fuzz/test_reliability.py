@@ -69,7 +69,7 @@ def end(code):
         (lambda: 1 // 0, "internal error"),
         (lambda: Path("unnamed").touch(), "changed ['unnamed']"),
         (spoil_the_plan, "changed ['plan.json']"),
-        (lambda: end(2), "is no error"),
+        (lambda: end(2), "is not an error"),
         (lambda: end(7), "exit 7"),
     ],
 )

@@ -159,7 +159,7 @@ def test_lattice_starts_leave_out_what_has_no_chance(random_objective, monkeypat
     limit = float(np.median(probability))
     monkeypatch.setattr("regrasp_opt.solvers.lattice.LEAST_CHANCE", limit)
     assert abs(len(starts(random_objective)) - (probability > limit).sum()) <= 1  # single against double precision
-    cold = replace(random_objective, options=CostOptions(alpha=1e-3))  # a chance is no matter of the cost's options
+    cold = replace(random_objective, options=CostOptions(alpha=1e-3))  # a chance does not depend on the cost's options
     assert len(starts(cold)) > 0
     blocked = replace(random_objective, goal_energy=np.full_like(random_objective.goal_energy, BLOCKED))
     assert len(starts(blocked)) == 0
