@@ -133,6 +133,9 @@ def plan(
     max_regrasps: Annotated[int, typer.Option(help="Largest number of intermediate poses.")] = 5,
     time_limit: Annotated[float | None, typer.Option(help="Longest time to search \\[s].")] = None,
     model: ModelOption = None,
+    obstacles: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="TOML file of obstacles besides the workcell's.")
+    ] = None,
     scale: ScaleOption = 1.0,
     repair: RepairOption = False,
     out: Annotated[Path | None, typer.Option(help="Save the plan as JSON.")] = None,
@@ -151,8 +154,11 @@ def plan(
     """
     from regrasp_opt.cli.plan import run_plan
     from regrasp_opt.planning import RegraspProblem
+    from regrasp_opt.scene import load_obstacles
 
     problem = RegraspProblem.load(object, workcell, end_effector=end_effector, model=model, scale=scale, repair=repair)
+    if obstacles is not None:
+        problem = problem.with_obstacles(load_obstacles(obstacles))
     search = {"refiner": refiner, "max_regrasps": max_regrasps, "seed": seed, "time_limit": time_limit}
     return run_plan(problem, start, goal, search, out=out, html=html, as_json=json)
 

@@ -34,7 +34,11 @@ class ModelKey:
 
     @staticmethod
     def of(body: ObjectModel, workcell: Workcell) -> ModelKey:
-        """Return the key of models of `body` in `workcell`."""
+        """Return the key of models of `body` in `workcell`; obstacles that were put in afterwards are not part of it.
+
+        An energy ranks grasps, and exact checks decide: what stands in the way only now needs no other model.
+        """
+        workcell = workcell.as_loaded
         fixed = (*(support.shape for support in workcell.supports), *workcell.obstacles)
         return ModelKey(
             id=content_hash("model", FORMAT, body.fingerprint(), workcell.fingerprint())[:32],

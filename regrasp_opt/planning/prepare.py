@@ -89,9 +89,13 @@ def prepare(
     ModelError
         If the labels cannot train an energy.
     OptionError
-        For fewer than 100 samples, no grasps, or no workers.
+        For fewer than 100 samples, no grasps, no workers, or obstacles that were put into the workcell afterwards.
     """
     _check(model, samples, num_grasps, jobs)
+    if workcell.added:
+        raise OptionError(
+            f"obstacle '{workcell.added[0]}' was put in later and needs no training; prepare the workcell as loaded"
+        )
     seed = as_seed(seed)
     tell = progress or (lambda *_: None)
     began = [time.perf_counter()]

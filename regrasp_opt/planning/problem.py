@@ -5,20 +5,22 @@ from __future__ import annotations
 import logging
 import os
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from regrasp_opt.connectivity import CostOptions
 from regrasp_opt.conventions import translation
-from regrasp_opt.errors import GraspError, UnknownNameError
+from regrasp_opt.errors import GraspError, UnknownNameError, WorkcellError
+from regrasp_opt.geometry.shapes import Shape
 from regrasp_opt.grasps import GraspSet, rejected_grasps, sample_grasps
 from regrasp_opt.objects import ObjectModel, Placement, load_object
 from regrasp_opt.planning.model_store import ENERGY_FILES, find_model, load_prepared_grasps
 from regrasp_opt.planning.problem_data import ProblemData
 from regrasp_opt.planning.sequence_nlp import sequence_nlp
-from regrasp_opt.scene import Workcell, load_workcell
+from regrasp_opt.scene import Workcell, as_obstacles, load_workcell
+from regrasp_opt.scene.collision_world import collision_at_home
 from regrasp_opt.solvers import RegraspNLP
 
 DEFAULT_GRASPS = 200
@@ -113,6 +115,36 @@ class RegraspProblem(ProblemData):
         if tested:
             grasps, left_out = _usable(grasps, body, workcell)
         return assemble(body, workcell, grasps, folder, preset, left_out)
+
+    def with_obstacles(self, obstacles: Iterable[Shape | Mapping[str, Any]]) -> RegraspProblem:
+        """Return this problem with more obstacles in the workcell: nothing is sampled, trained or refused for them.
+
+        Grasps, placements and the energy stay those of this problem; plans, checks and motions know the obstacles, and
+        plan files keep them.
+
+        Parameters
+        ----------
+        obstacles : iterable of Shape or dict
+            Shapes of `regrasp_opt.geometry.shapes` in the world frame [m], or dicts with the keys of ``[[obstacles]]``
+            in a workcell file; files of meshes are relative to the current folder.
+
+        Returns
+        -------
+        RegraspProblem
+
+        Raises
+        ------
+        WorkcellError
+            If a dict has a wrong key or value, a name is taken, or the arm collides with an obstacle at its home.
+        """
+        workcell = self.workcell.with_obstacles(as_obstacles(obstacles))
+        hit = collision_at_home(workcell)
+        if hit is not None:
+            raise WorkcellError(
+                f"'{hit[0]}' collides with '{hit[1]}', or is nearer than its clearance, while the robot is at home; "
+                "move the obstacle"
+            )
+        return replace(self, workcell=workcell)
 
     def nlp(
         self,

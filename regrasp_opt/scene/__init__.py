@@ -1,8 +1,18 @@
 """The scene: arm, supports, obstacles, workspace and clearances of one TOML file, and the bodies that can collide."""
 
 from regrasp_opt.scene.arm import Arm
-from regrasp_opt.scene.loading import WORKCELL_NAMES, load_workcell
+from regrasp_opt.scene.loading import WORKCELL_NAMES, as_obstacles, load_obstacles, load_workcell
 from regrasp_opt.scene.support import Support
 from regrasp_opt.scene.workcell import Clearance, Workcell, WorkspaceBounds
 
-__all__ = ["WORKCELL_NAMES", "Arm", "Clearance", "Support", "Workcell", "WorkspaceBounds", "load_workcell"]
+__all__ = [
+    "WORKCELL_NAMES",
+    "Arm",
+    "Clearance",
+    "Support",
+    "Workcell",
+    "WorkspaceBounds",
+    "as_obstacles",
+    "load_obstacles",
+    "load_workcell",
+]

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import logging
 import os
+from collections.abc import Iterable, Mapping
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,10 +21,10 @@ from regrasp_opt.geometry.solids import find_shells
 from regrasp_opt.robots import Robot, load_robot
 from regrasp_opt.scene.arm import Arm
 from regrasp_opt.scene.collision_world import collision_at_home
-from regrasp_opt.scene.schema import ObstacleSection, RobotSection, Vector, WorkcellFile
+from regrasp_opt.scene.schema import ObstacleSection, ObstaclesFile, RobotSection, Vector, WorkcellFile
 from regrasp_opt.scene.support import Support
 from regrasp_opt.scene.workcell import Clearance, Workcell, WorkspaceBounds
-from regrasp_opt.schemas import read_toml
+from regrasp_opt.schemas import File, read_toml, validated
 
 logger = logging.getLogger(__name__)
 
@@ -57,19 +59,48 @@ def load_workcell(
     """
     if isinstance(name_or_path, str) and name_or_path in WORKCELL_NAMES:
         path = Path(str(files("regrasp_opt"))) / "data" / "workcells" / f"{name_or_path}.toml"
-        return _build(_parse(path), path, "built-in", end_effector)
+        return _build(_parse(path, WorkcellFile, "workcell"), path, "built-in", end_effector)
     path = Path(name_or_path)
     if isinstance(name_or_path, str) and path.suffix.lower() != ".toml" and path.name == name_or_path:
         raise UnknownNameError("workcell", name_or_path, WORKCELL_NAMES)
-    return _build(_parse(path), path, str(path), end_effector)
+    return _build(_parse(path, WorkcellFile, "workcell"), path, str(path), end_effector)
 
 
-def _parse(path: Path) -> WorkcellFile:
+def load_obstacles(path: str | os.PathLike[str]) -> tuple[Shape, ...]:
+    """Return the obstacles of a TOML file that has nothing but ``[[obstacles]]``, with the keys of a workcell's.
+
+    Raises
+    ------
+    WorkcellError
+        If the file cannot be read, or holds a wrong key, value or geometry.
+    """
+    path = Path(path)
+    return tuple(_obstacle(section, path) for section in _parse(path, ObstaclesFile, "obstacles").obstacles)
+
+
+def as_obstacles(obstacles: Iterable[Shape | Mapping[str, Any]]) -> tuple[Shape, ...]:
+    """Return shapes in the world frame; a mapping has the keys of ``[[obstacles]]``, files relative to this folder.
+
+    Raises
+    ------
+    WorkcellError
+        If a mapping has a wrong key, value or geometry.
+    """
+    path = Path("obstacles")
+    return tuple(
+        _obstacle(validated(dict(each), ObstacleSection, f"obstacle {number}", WorkcellError), path)
+        if isinstance(each, Mapping)
+        else each
+        for number, each in enumerate(obstacles)
+    )
+
+
+def _parse(path: Path, schema: type[File], what: str) -> File:
     try:
         text = path.read_text("utf-8")
     except (OSError, ValueError) as error:
-        raise WorkcellError(f"workcell file {path} cannot be read; give the path of a TOML file") from error
-    return read_toml(text, WorkcellFile, str(path))
+        raise WorkcellError(f"{what} file {path} cannot be read; give the path of a TOML file") from error
+    return read_toml(text, schema, str(path))
 
 
 def _build(content: WorkcellFile, path: Path, source: str, override: str | os.PathLike[str] | None) -> Workcell:

@@ -96,3 +96,10 @@ class WorkcellFile(Section):
     workspace: WorkspaceSection
     clearance: ClearanceSection = ClearanceSection()
     obstacles: list[ObstacleSection] = Field(default_factory=list)
+
+
+class ObstaclesFile(Section):
+    """A file of obstacles that are put into a workcell when a plan is asked for."""
+
+    schema_: Literal[1] = Field(default=1, alias="schema")
+    obstacles: list[ObstacleSection] = Field(min_length=1)

@@ -122,6 +122,12 @@ class Workcell:
         return cell
 
     @property
+    def as_loaded(self) -> Workcell:
+        """The workcell without the obstacles that were put in afterwards."""
+        kept = tuple(shape for shape in self.obstacles if shape.name not in self.added)
+        return replace(self, obstacles=kept, added=())
+
+    @property
     def repeated_name(self) -> str | None:
         """A name that two of the supports and the obstacles have, or None."""
         names = [*(support.name for support in self.supports), *(shape.name for shape in self.obstacles)]
