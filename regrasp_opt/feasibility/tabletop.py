@@ -63,9 +63,7 @@ def wrist_bodies(robot: Robot) -> list[tuple[Any, FloatArray]]:
 
     These are the bodies of the last link, and those of the link before it that are round about the last joint's axis.
     """
-    tip = robot.model.frames[robot.model.getFrameId(robot.tip_frame)]
-    T_flange_joint = invert(tip.placement.homogeneous)
-    last = int(tip.parentJoint)
+    T_flange_joint, last = invert(robot.chain.tip), robot.dof
     T_joint_before = invert(robot.model.jointPlacements[last].homogeneous)
     axis, slides = robot.chain.axes[-1], bool(robot.chain.prismatic[-1])
     found = []

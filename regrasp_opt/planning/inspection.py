@@ -14,7 +14,7 @@ import numpy as np
 
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.geometry.mesh_files import read_triangles
-from regrasp_opt.geometry.shapes import Box, Cylinder, Shape
+from regrasp_opt.geometry.shapes import Shape, shape_geometry
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.objects.placements import rejected_placements
 from regrasp_opt.objects.rolling import LEAST_MARGIN
@@ -176,12 +176,7 @@ def describe_grasps(problem: RegraspProblem) -> Data:
 
 def _shape(shape: Shape) -> Data:
     """Return name, kind and size [m] of a shape."""
-    if isinstance(shape, Box):
-        return {"name": shape.name, "kind": "box", "size": np.asarray(shape.size).tolist()}
-    if isinstance(shape, Cylinder):
-        return {"name": shape.name, "kind": "cylinder", "radius": shape.radius, "length": shape.length}
-    size = np.ptp(shape.vertices, axis=0).tolist()
-    return {"name": shape.name, "kind": "mesh", "triangles": len(shape.faces), "size": size}
+    return {"name": shape.name} | _geometry(shape_geometry(shape))
 
 
 def _geometry(geometry: Any) -> Data:

@@ -32,12 +32,12 @@ class CollisionModel:
         arm = world.workcell.arm
         self.world, self.model, self.geometry = world, arm.robot.model, arm.robot.collision.copy()
         self.data = self.model.createData()
-        self._T_base_world, self._effector = arm.T_base_world, arm.end_effector
+        self._arm, self._T_base_world = arm, arm.T_base_world
         self._boxes = [shape_geometry(box) for box in arm.end_effector.finger_boxes(0.0)]  # they are resized
         own = dict(zip(world.fingers, self._boxes, strict=True))
         for index, body in enumerate(world.bodies[self.geometry.ngeoms :], start=self.geometry.ngeoms):
             held = index == world.object and phase in (Phase.LIFT, Phase.CARRY)
-            joint = world.tip_joint if held else body.joint
+            joint = arm.robot.dof if held else body.joint
             T = pin.SE3(body.pose if joint else self._T_base_world @ body.pose)
             self.geometry.addGeometryObject(pin.GeometryObject(body.name, joint, T, own.get(index, body.geometry)))
         pairs = world.pairs(phase)
@@ -56,8 +56,8 @@ class CollisionModel:
     def open_jaw(self, low: float, high: float) -> None:
         """Let the fingers cover every opening between `low` and `high` [m]."""
         if (low, high) not in self._jaws:
-            boxes = self._effector.finger_boxes(low, (high - low) / 2)
-            self._jaws[low, high] = [(box.size / 2, pin.SE3(self.world.T_tip_flange @ box.pose)) for box in boxes]
+            boxes = self._arm.end_effector.finger_boxes(low, (high - low) / 2)
+            self._jaws[low, high] = [(box.size / 2, pin.SE3(self._arm.robot.chain.tip @ box.pose)) for box in boxes]
         for index, box, (half, placement) in zip(self.world.fingers, self._boxes, self._jaws[low, high], strict=True):
             box.halfSide = half
             box.computeLocalAABB()

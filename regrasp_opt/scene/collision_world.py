@@ -83,45 +83,38 @@ class CollisionWorld:
     object : int
     surroundings : frozenset of int
         What the clearance of a grasp is measured to: supports, obstacles, those in the robot's own file, the object.
-    tip_joint : int
-        The joint that carries the tool.
-    T_tip_flange : (4, 4) array
-        The flange in the frame of that joint.
     """
 
     def __init__(self, workcell: Workcell, model: ObjectModel | None = None) -> None:
         self.workcell, robot, effector = workcell, workcell.arm.robot, workcell.arm.end_effector
-        tip = robot.model.frames[robot.model.getFrameId(robot.tip_frame)]
-        self.tip_joint, self.T_tip_flange = int(tip.parentJoint), tip.placement.homogeneous
         self.bodies: list[Body] = []
         for index, item in enumerate(robot.collision.geometryObjects):
-            T = (
-                item.placement.homogeneous
-                if item.parentJoint
-                else workcell.arm.T_world_base @ item.placement.homogeneous
-            )
+            T = item.placement.homogeneous
+            T = T if item.parentJoint else workcell.arm.T_world_base @ T
             self.bodies.append(Body(item.name, robot.link_of(index), int(item.parentJoint), T, item.geometry))
         self.moving = tuple(i for i, body in enumerate(self.bodies) if body.joint)
         self.still = tuple(i for i, body in enumerate(self.bodies) if not body.joint)
-        self.palm = self._add(effector.body, self.tip_joint)
-        self.fingers = self._add(effector.finger_boxes(0.0), self.tip_joint)
+        on_flange, fixed = ("gripper ", robot.dof, robot.chain.tip), ("", WORLD, np.eye(4))
+        self.palm = self._add(effector.body, *on_flange)
+        self.fingers = self._add(effector.finger_boxes(0.0), *on_flange)
         self.gripper = (*self.palm, *self.fingers)
-        self.supports = self._add([support.shape for support in workcell.supports], WORLD)
-        self.obstacles = self._add(workcell.obstacles, WORLD)
+        self.supports = self._add([support.shape for support in workcell.supports], *fixed)
+        self.obstacles = self._add(workcell.obstacles, *fixed)
         self.object = len(self.bodies)
         if model is not None:
             mesh = mesh_geometry(model.vertices, model.faces)
             self.bodies.append(Body("object", "object", WORLD, np.eye(4), mesh))
         self.surroundings = frozenset((*self.supports, *self.obstacles, self.object, *robot.obstacles))
 
-    def _add(self, shapes: Sequence[Shape], joint: int) -> tuple[int, ...]:
-        first, (T, prefix) = len(self.bodies), (self.T_tip_flange, "gripper ") if joint else (np.eye(4), "")
+    def _add(self, shapes: Sequence[Shape], prefix: str, joint: int, T: FloatArray) -> tuple[int, ...]:
+        first = len(self.bodies)
         self.bodies += [Body(prefix + s.name, s.name, joint, T @ s.pose, shape_geometry(s)) for s in shapes]
         return tuple(range(first, len(self.bodies)))
 
     def finger_poses(self, width: float) -> list[FloatArray]:
         """Return the poses (4, 4) of the fingers at a jaw width [m], in the frame of the tip's joint."""
-        return [self.T_tip_flange @ box.pose for box in self.workcell.arm.end_effector.finger_boxes(width)]
+        arm = self.workcell.arm
+        return [arm.robot.chain.tip @ box.pose for box in arm.end_effector.finger_boxes(width)]
 
     def pairs(self, phase: Phase) -> list[Pair]:
         """Return the bodies that must be apart in a phase, with their clearances."""
@@ -130,7 +123,7 @@ class CollisionWorld:
             return _apart(held, (*self.obstacles, *self.still), near.gripper)
         around, own = (*self.supports, *self.obstacles), robot.obstacles
         base = [i for i in self.still if i not in own]
-        inner = [i for i in self.moving if self.bodies[i].joint < self.tip_joint]
+        inner = [i for i in self.moving if self.bodies[i].joint < robot.dof]
         tool = _apart(self.gripper, (*base, *inner), near.self_collision)
         tool += _apart(self.gripper, sorted(own), near.gripper)
         links = [

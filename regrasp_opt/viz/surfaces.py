@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 
 from regrasp_opt.conventions import FloatArray, IntArray
-from regrasp_opt.geometry.shapes import Box, Cylinder, Shape, mesh_faces
+from regrasp_opt.geometry.shapes import Shape, mesh_faces, shape_geometry
 
 CREASE = np.radians(32.0)
 """Faces that meet at a sharper angle than this are drawn with an edge between them [rad]."""
@@ -57,21 +57,17 @@ def rounded_cylinder(radius: float, length: float, fillet: float = 0.012) -> Pat
 
 def shape_surface(shape: Shape) -> Patch:
     """Return the surface of a shape of an end-effector or a workcell in its parent frame."""
-    if isinstance(shape, Box):
-        return chamfered_box(np.asarray(shape.size)).placed(shape.pose)
-    if isinstance(shape, Cylinder):
-        return rounded_cylinder(shape.radius, shape.length, 0.003).placed(shape.pose)
-    return Patch(shape.vertices, shape.faces).placed(shape.pose)
+    return coal_surface(shape_geometry(shape), 0.003, 0.003).placed(shape.pose)
 
 
-def coal_surface(geometry: Any) -> Patch:
-    """Return the surface of a robot's collision body in its own frame; `geometry` is a `coal.CollisionGeometry`."""
+def coal_surface(geometry: Any, chamfer: float = 0.006, fillet: float = 0.012) -> Patch:
+    """Return the surface of a `coal.CollisionGeometry` in its own frame; edges and rims are rounded off [m]."""
     if isinstance(geometry, coal.Box):
-        return chamfered_box(2 * np.array(geometry.halfSide), 0.006)
+        return chamfered_box(2 * np.array(geometry.halfSide), chamfer)
     if isinstance(geometry, coal.Sphere):
         return _surface(trimesh.creation.icosphere(subdivisions=3, radius=geometry.radius))
     if isinstance(geometry, coal.Cylinder):
-        return rounded_cylinder(geometry.radius, 2 * geometry.halfLength)
+        return rounded_cylinder(geometry.radius, 2 * geometry.halfLength, fillet)
     if isinstance(geometry, coal.Capsule):
         return rounded_cylinder(geometry.radius, 2 * (geometry.halfLength + geometry.radius), geometry.radius)
     return Patch(np.array(geometry.vertices()), mesh_faces(geometry))

@@ -72,8 +72,8 @@ def test_a_phase_says_who_may_touch_whom(world, phase, expected):
     assert len(set(map(frozenset, pairs))) == len(pairs)
 
 
-def test_the_last_link_may_touch_the_tool_and_what_it_holds(world):
-    last = {i for i in world.moving if world.bodies[i].joint == world.tip_joint}
+def test_the_last_link_may_touch_the_tool_and_what_it_holds(cell, world):
+    last = {i for i in world.moving if world.bodies[i].joint == cell.robot.dof}
     assert last
     for phase in Phase:
         partners = {j for i, j, _ in world.pairs(phase) if i in (*world.gripper, world.object)}

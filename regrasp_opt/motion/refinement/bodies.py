@@ -95,7 +95,7 @@ def configuration_rows(problem: RegraspProblem) -> Rows:
         capsule = covering_capsule(world.bodies[i].name, shape_geometry(shape)).moved(shape.pose)
         aside = ca.vertcat(0, (0.5 if number < len(fingers) / 2 else -0.5) * width, 0)
         moved = capsule._replace(a=capsule.a + aside, b=capsule.b + aside)
-        capsules[i] = moved.moved(ca.SX(ca.DM(world.T_tip_flange)))
+        capsules[i] = moved.moved(ca.SX(ca.DM(arm.robot.chain.tip)))
     for i, capsule in capsules.items():
         joint = world.bodies[i].joint
         capsules[i] = capsule.moved(T_joint[joint]) if joint else capsule

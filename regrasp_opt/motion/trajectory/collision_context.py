@@ -19,7 +19,7 @@ from scipy.spatial import ConvexHull
 from regrasp_opt.conventions import FloatArray, invert
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.scene.collision_model import CollisionModel
-from regrasp_opt.scene.collision_world import WORLD, CollisionWorld, Phase
+from regrasp_opt.scene.collision_world import CollisionWorld, Phase
 
 LEVELS = 0.032 / 2.0 ** np.arange(10)
 """Motion between two samples [m] that each level of a context allows for: 32 mm down to 0.06 mm."""
@@ -86,7 +86,7 @@ class MotionScene:
         context, cell = self._held.context(Phase.LIFT, arrangement), self._problem.workcell
         lowest = float((self._corners @ T_world_rest[2, :3]).min() + T_world_rest[2, 3])
         floor = min(lowest, cell.table.height)
-        up, joint = cell.arm.T_world_base[2], self._held.world.tip_joint
+        up, joint = cell.arm.T_world_base[2], cell.arm.robot.dof
 
         def passes(q: FloatArray, level: int) -> bool:
             if not context.passes(q, level):
@@ -98,10 +98,10 @@ class MotionScene:
         return CollisionContext(passes, context.reach)
 
     def _in_hand(self, grasp_id: int) -> _Arrangement:
-        grasps, effector = self._problem.grasps, self._problem.workcell.arm.end_effector
+        grasps, arm = self._problem.grasps, self._problem.workcell.arm
         width = float(grasps.width[grasp_id])
-        T_flange_object = effector.T_flange_tcp @ invert(grasps.T_object_tcp[grasp_id])
-        return _Arrangement(self._held.world.T_tip_flange @ T_flange_object, (width, width))
+        T_flange_object = arm.end_effector.T_flange_tcp @ invert(grasps.T_object_tcp[grasp_id])
+        return _Arrangement(arm.robot.chain.tip @ T_flange_object, (width, width))
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,13 +148,10 @@ class _Model(CollisionModel):
         slides = np.maximum(np.abs(self._robot.lower), np.abs(self._robot.upper)) * chain.prismatic
         radius = np.zeros(chain.dof)  # of what hangs on each joint, about its origin
         for item in self.geometry.geometryObjects:
-            if item.parentJoint == WORLD:
-                continue
-            item.geometry.computeLocalAABB()
-            center = item.placement.act(np.array(item.geometry.aabb_center))
-            radius[item.parentJoint - 1] = max(
-                radius[item.parentJoint - 1], float(np.linalg.norm(center)) + float(item.geometry.aabb_radius)
-            )
+            if (joint := item.parentJoint - 1) >= 0:
+                item.geometry.computeLocalAABB()
+                center = item.placement.act(np.array(item.geometry.aabb_center))
+                radius[joint] = max(radius[joint], float(np.linalg.norm(center)) + float(item.geometry.aabb_radius))
         reach = radius.copy()
         for j in range(chain.dof - 2, -1, -1):
             step = float(np.linalg.norm(chain.placements[j + 1, :3, 3])) + slides[j + 1]
