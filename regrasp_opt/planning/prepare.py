@@ -91,11 +91,7 @@ def prepare(
     OptionError
         For fewer than 100 samples, no grasps, no workers, or obstacles that were put into the workcell afterwards.
     """
-    _check(model, samples, num_grasps, jobs)
-    if workcell.added:
-        raise OptionError(
-            f"obstacle '{workcell.added[0]}' was put in later and needs no training; prepare the workcell as loaded"
-        )
+    _check(model, workcell, samples, num_grasps, jobs)
     seed = as_seed(seed)
     tell = progress or (lambda *_: None)
     began = [time.perf_counter()]
@@ -134,7 +130,11 @@ def prepare(
     return _store(folder, grasps, energies, report), report
 
 
-def _check(model: ObjectModel, samples: int, num_grasps: int, jobs: int) -> None:
+def _check(model: ObjectModel, workcell: Workcell, samples: int, num_grasps: int, jobs: int) -> None:
+    if workcell.added:
+        raise OptionError(
+            f"obstacle '{workcell.added[0]}' was put in later and needs no training; prepare the workcell as loaded"
+        )
     if samples < 100 or num_grasps < 1:
         raise OptionError(f"samples is {samples} and num_grasps {num_grasps}; give at least 100 and 1")
     if jobs == 0:
