@@ -98,6 +98,12 @@ def test_functions_fit_a_screen(path):
     assert not [n.name for n in functions if (n.end_lineno or n.lineno) - n.lineno + 1 > 80]
 
 
+def test_public_classes_have_names_of_their_own():
+    trees = [ast.parse(path.read_text("utf-8")) for path in {path.resolve() for path in MODULES}]
+    names = [n.name for tree in trees for n in ast.walk(tree) if isinstance(n, ast.ClassDef) and n.name[0] != "_"]
+    assert sorted({name for name in names if names.count(name) > 1}) == []
+
+
 def test_package_list_is_the_folders_on_disk():
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
     on_disk = {

@@ -22,7 +22,7 @@ from regrasp_opt.geometry.solids import Solid, nested
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.scene import Workcell
-from regrasp_opt.scene.collision_world import CollisionWorld, Phase
+from regrasp_opt.scene.collision_world import CollisionWorld, ContactPhase
 
 PAIRS_AT_ONCE = 20_000
 """Pairs that are checked together, in some ten MB of corners and branches, however many are asked for."""
@@ -73,7 +73,7 @@ class FeasibilityChecker:
         self.scene = CollisionScene(world, grasps)
         effector = workcell.arm.end_effector
         self._object = Solid(world.bodies[world.object].geometry)
-        self._still = [_Still(world, i) for _, i, _ in world.pairs(Phase.REST)]
+        self._still = [_Still(world, i) for _, i, _ in world.pairs(ContactPhase.REST)]
         self._T_object_flange = grasps.T_object_tcp @ effector.T_tcp_flange
         self._corners = np.stack(
             [

@@ -13,14 +13,14 @@ from regrasp_opt.conventions import FloatArray
 from regrasp_opt.geometry.solids import overlap
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.scene.collision_model import CollisionModel
-from regrasp_opt.scene.collision_world import CollisionWorld, Phase
+from regrasp_opt.scene.collision_world import CollisionWorld, ContactPhase
 
 
 class CollisionScene(CollisionModel):
     """What the arm may run into at a grasp. Configurations are (dof,), object poses (4, 4) T_world_object."""
 
     def __init__(self, world: CollisionWorld, grasps: GraspSet) -> None:
-        super().__init__(world, Phase.GRASP)
+        super().__init__(world, ContactPhase.GRASP)
         swept = 2 * world.workcell.arm.end_effector.pre_opening
         self._openings = [(width, width + swept) for width in grasps.width.tolist()]
         self.set_grasp(0)

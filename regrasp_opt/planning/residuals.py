@@ -28,7 +28,7 @@ from regrasp_opt.geometry.solids import Solid, distance
 from regrasp_opt.grasps import hold_failures
 from regrasp_opt.planning.plan_data import PlanData, Transition
 from regrasp_opt.planning.problem import RegraspProblem
-from regrasp_opt.scene.collision_world import CollisionWorld, Phase
+from regrasp_opt.scene.collision_world import CollisionWorld, ContactPhase
 
 
 @dataclass(frozen=True)
@@ -221,8 +221,8 @@ class _Scene:
         self.world = world = CollisionWorld(problem.workcell, problem.object)
         self.data = self.arm.robot.model.createData()
         self.solids = [Solid(body.geometry) for body in world.bodies]
-        closed = [pair for pair in world.pairs(Phase.GRASP) if pair[0] in world.fingers]
-        opened = [*world.pairs(Phase.MOVE), *world.pairs(Phase.REST)]
+        closed = [pair for pair in world.pairs(ContactPhase.GRASP) if pair[0] in world.fingers]
+        opened = [*world.pairs(ContactPhase.MOVE), *world.pairs(ContactPhase.REST)]
         self.pairs = [(*pair, False) for pair in closed] + [(*pair, True) for pair in opened]
         arm, gripper = (*world.moving, *world.gripper), world.gripper
         self.measured = np.array(

@@ -11,7 +11,7 @@ import pinocchio as pin
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.geometry.shapes import shape_geometry
 from regrasp_opt.geometry.solids import Containment
-from regrasp_opt.scene.collision_world import WORLD, CollisionWorld, Phase
+from regrasp_opt.scene.collision_world import WORLD, CollisionWorld, ContactPhase
 
 
 class CollisionModel:
@@ -28,7 +28,7 @@ class CollisionModel:
         Which bodies are inside others.
     """
 
-    def __init__(self, world: CollisionWorld, phase: Phase) -> None:
+    def __init__(self, world: CollisionWorld, phase: ContactPhase) -> None:
         arm = world.workcell.arm
         self.world, self.model, self.geometry = world, arm.robot.model, arm.robot.collision.copy()
         self.data = self.model.createData()
@@ -36,7 +36,7 @@ class CollisionModel:
         self._boxes = [shape_geometry(box) for box in arm.end_effector.finger_boxes(0.0)]  # they are resized
         own = dict(zip(world.fingers, self._boxes, strict=True))
         for index, body in enumerate(world.bodies[self.geometry.ngeoms :], start=self.geometry.ngeoms):
-            held = index == world.object and phase in (Phase.LIFT, Phase.CARRY)
+            held = index == world.object and phase in (ContactPhase.LIFT, ContactPhase.CARRY)
             joint = arm.robot.dof if held else body.joint
             T = pin.SE3(body.pose if joint else self._T_base_world @ body.pose)
             self.geometry.addGeometryObject(pin.GeometryObject(body.name, joint, T, own.get(index, body.geometry)))

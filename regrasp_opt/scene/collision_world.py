@@ -24,7 +24,7 @@ WORLD = 0
 """The joint of what stands still."""
 
 
-class Phase(Enum):
+class ContactPhase(Enum):
     """What the arm is about, which decides who may touch whom."""
 
     GRASP = auto()
@@ -116,10 +116,10 @@ class CollisionWorld:
         arm = self.workcell.arm
         return [arm.robot.chain.tip @ box.pose for box in arm.end_effector.finger_boxes(width)]
 
-    def pairs(self, phase: Phase) -> list[Pair]:
+    def pairs(self, phase: ContactPhase) -> list[Pair]:
         """Return the bodies that must be apart in a phase, with their clearances."""
         robot, near, held = self.workcell.arm.robot, self.workcell.clearance, (self.object,)
-        if phase is Phase.REST:
+        if phase is ContactPhase.REST:
             return _apart(held, (*self.obstacles, *self.still), near.gripper)
         around, own = (*self.supports, *self.obstacles), robot.obstacles
         base = [i for i in self.still if i not in own]
@@ -130,16 +130,16 @@ class CollisionWorld:
             (j, i, near.arm) if i in own else (i, j, near.arm if j in own else near.self_collision)
             for i, j in robot.self_collision_pairs()
         ]
-        if phase is Phase.HOME:
+        if phase is ContactPhase.HOME:
             return links + _apart((*self.moving, *self.gripper), around, 0.0) + tool
-        resting = held if phase in (Phase.GRASP, Phase.MOVE) else ()
+        resting = held if phase in (ContactPhase.GRASP, ContactPhase.MOVE) else ()
         pairs = _apart(self.moving, (*self.supports, *resting, *self.obstacles), near.arm)
         pairs += _apart(self.gripper, around, near.gripper) + tool + links
-        if phase is Phase.MOVE:
+        if phase is ContactPhase.MOVE:
             pairs += _apart(self.gripper, held, 0.0)
-        if phase in (Phase.LIFT, Phase.CARRY):
+        if phase in (ContactPhase.LIFT, ContactPhase.CARRY):
             pairs += _apart(held, inner, near.arm) + _apart(held, (*self.still, *self.obstacles), near.gripper)
-        if phase is Phase.CARRY:
+        if phase is ContactPhase.CARRY:
             pairs += _apart(held, self.supports, near.gripper)
         return pairs
 
@@ -156,7 +156,7 @@ def collision_at_home(workcell: Workcell) -> tuple[str, str] | None:
     for i, T in zip(world.fingers, world.finger_poses(arm.end_effector.max_opening), strict=True):
         poses[i] = T
     placed = [(Solid(body.geometry), frames[body.joint] @ T) for body, T in zip(world.bodies, poses, strict=True)]
-    for i, j, clearance in world.pairs(Phase.HOME):
+    for i, j, clearance in world.pairs(ContactPhase.HOME):
         (a, T_a), (b, T_b) = placed[i], placed[j]
         if distance(a, b, T_a, T_b) <= clearance:
             return world.bodies[i].label, world.bodies[j].label

@@ -8,7 +8,7 @@ import pytest
 from regrasp_opt.geometry.shapes import Box
 from regrasp_opt.objects import load_object
 from regrasp_opt.scene import Clearance, load_workcell
-from regrasp_opt.scene.collision_world import CollisionWorld, Phase
+from regrasp_opt.scene.collision_world import CollisionWorld, ContactPhase
 
 
 @pytest.fixture(scope="module")
@@ -59,11 +59,11 @@ def test_what_stands_still_is_where_the_workcell_says(cell, world):
 @pytest.mark.parametrize(
     ("phase", "expected"),
     [
-        (Phase.GRASP, SURROUNDINGS | {("arm", "object", 0.005)}),
-        (Phase.MOVE, SURROUNDINGS | {("arm", "object", 0.005), ("gripper", "object", 0.0)}),
-        (Phase.LIFT, SURROUNDINGS | HELD),
-        (Phase.CARRY, SURROUNDINGS | HELD | {("object", "support", 0.003)}),
-        (Phase.REST, {("object", "base", 0.003), ("object", "obstacle", 0.003)}),
+        (ContactPhase.GRASP, SURROUNDINGS | {("arm", "object", 0.005)}),
+        (ContactPhase.MOVE, SURROUNDINGS | {("arm", "object", 0.005), ("gripper", "object", 0.0)}),
+        (ContactPhase.LIFT, SURROUNDINGS | HELD),
+        (ContactPhase.CARRY, SURROUNDINGS | HELD | {("object", "support", 0.003)}),
+        (ContactPhase.REST, {("object", "base", 0.003), ("object", "obstacle", 0.003)}),
     ],
 )
 def test_a_phase_says_who_may_touch_whom(world, phase, expected):
@@ -75,17 +75,21 @@ def test_a_phase_says_who_may_touch_whom(world, phase, expected):
 def test_the_last_link_may_touch_the_tool_and_what_it_holds(cell, world):
     last = {i for i in world.moving if world.bodies[i].joint == cell.robot.dof}
     assert last
-    for phase in Phase:
+    for phase in ContactPhase:
         partners = {j for i, j, _ in world.pairs(phase) if i in (*world.gripper, world.object)}
         assert not partners & last
 
 
 def test_at_home_the_surroundings_need_only_be_apart(world):
-    clearances = {clearance for _, j, clearance in world.pairs(Phase.HOME) if j in (*world.supports, *world.obstacles)}
-    assert clearances == {0.0} and world.object not in {i for pair in world.pairs(Phase.HOME) for i in pair[:2]}
+    clearances = {
+        clearance for _, j, clearance in world.pairs(ContactPhase.HOME) if j in (*world.supports, *world.obstacles)
+    }
+    assert clearances == {0.0} and world.object not in {i for pair in world.pairs(ContactPhase.HOME) for i in pair[:2]}
 
 
-@pytest.mark.parametrize(("shorter", "longer"), [(Phase.GRASP, Phase.MOVE), (Phase.LIFT, Phase.CARRY)])
+@pytest.mark.parametrize(
+    ("shorter", "longer"), [(ContactPhase.GRASP, ContactPhase.MOVE), (ContactPhase.LIFT, ContactPhase.CARRY)]
+)
 def test_a_phase_begins_with_the_pairs_of_the_one_it_adds_to(world, shorter, longer):
     pairs = world.pairs(shorter)
     assert world.pairs(longer)[: len(pairs)] == pairs and len(world.pairs(longer)) > len(pairs)

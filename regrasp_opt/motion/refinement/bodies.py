@@ -20,7 +20,7 @@ from regrasp_opt.geometry.shapes import shape_geometry
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.robots.casadi_distances import capsule_distance, point_box_distance
 from regrasp_opt.robots.casadi_kinematics import joint_placements
-from regrasp_opt.scene.collision_world import Body, CollisionWorld, Phase
+from regrasp_opt.scene.collision_world import Body, CollisionWorld, ContactPhase
 
 SPACING = 0.01
 """Balls along a capsule are no denser than this [m]; thicker capsules have them a radius apart."""
@@ -102,7 +102,7 @@ def configuration_rows(problem: RegraspProblem) -> Rows:
     capsules[world.object] = _capsule(world.bodies[world.object]).moved(T)
 
     rows: list[tuple[Any, str, bool, float]] = []
-    for i, j, needed in world.pairs(Phase.GRASP):
+    for i, j, needed in world.pairs(ContactPhase.GRASP):
         body, other = capsules[i], world.bodies[j]
         if j in world.supports:
             height = problem.workcell.supports[world.supports.index(j)].height
@@ -120,7 +120,7 @@ def object_rows(problem: RegraspProblem) -> Rows:
     world, T = CollisionWorld(problem.workcell, problem.object), ca.SX.sym("T", 4, 4)
     held = _capsule(world.bodies[world.object]).moved(T)
     rows = []
-    for _, j, needed in world.pairs(Phase.REST):
+    for _, j, needed in world.pairs(ContactPhase.REST):
         body = world.bodies[j]
         distances = _to_obstacle(held, body) if j in world.surroundings else [_between(held, _capsule(body))]
         rows += [(distance, f"object and {body.name}", False, needed) for distance in distances]

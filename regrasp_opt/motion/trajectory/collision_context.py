@@ -19,7 +19,7 @@ from scipy.spatial import ConvexHull
 from regrasp_opt.conventions import FloatArray, invert
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.scene.collision_model import CollisionModel
-from regrasp_opt.scene.collision_world import CollisionWorld, Phase
+from regrasp_opt.scene.collision_world import CollisionWorld, ContactPhase
 
 LEVELS = 0.032 / 2.0 ** np.arange(10)
 """Motion between two samples [m] that each level of a context allows for: 32 mm down to 0.06 mm."""
@@ -59,22 +59,22 @@ class MotionScene:
         hull = ConvexHull(problem.object.vertices)
         self._corners = problem.object.vertices[hull.vertices]
         world = problem.checker.world
-        self._free, self._held = _Model(world, Phase.MOVE), _Model(world, Phase.CARRY)
+        self._free, self._held = _Model(world, ContactPhase.MOVE), _Model(world, ContactPhase.CARRY)
 
     def beside(self, T_world_object: FloatArray, openings: tuple[float, float]) -> CollisionContext:
         """Return the context with the object resting at a pose (4, 4) and the jaw at any of `openings` (low, high) [m].
 
         The arm keeps its clearance from the object; the gripper must not touch it.
         """
-        return self._free.context(Phase.MOVE, _Arrangement(T_world_object, openings))
+        return self._free.context(ContactPhase.MOVE, _Arrangement(T_world_object, openings))
 
     def closing(self, T_world_object: FloatArray, openings: tuple[float, float]) -> CollisionContext:
         """Return the context in which the jaw closes on, or lets go of, the object at (4, 4), and may touch it."""
-        return self._free.context(Phase.GRASP, _Arrangement(T_world_object, openings))
+        return self._free.context(ContactPhase.GRASP, _Arrangement(T_world_object, openings))
 
     def holding(self, grasp_id: int) -> CollisionContext:
         """Return the context with the object in the hand, clear of everything but the gripper and the last link."""
-        return self._held.context(Phase.CARRY, self._in_hand(grasp_id))
+        return self._held.context(ContactPhase.CARRY, self._in_hand(grasp_id))
 
     def lifting(self, grasp_id: int, T_world_rest: FloatArray) -> CollisionContext:
         """Return the context of lifting from, or lowering to, a resting pose (4, 4).
@@ -83,7 +83,7 @@ class MotionScene:
         the table's top where it rests higher. Everything else is as in `holding`.
         """
         arrangement, data = self._in_hand(grasp_id), self._held.data
-        context, cell = self._held.context(Phase.LIFT, arrangement), self._problem.workcell
+        context, cell = self._held.context(ContactPhase.LIFT, arrangement), self._problem.workcell
         lowest = float((self._corners @ T_world_rest[2, :3]).min() + T_world_rest[2, 3])
         floor = min(lowest, cell.table.height)
         up, joint = cell.arm.T_world_base[2], cell.arm.robot.dof
@@ -115,13 +115,13 @@ class _Arrangement:
 class _Model(CollisionModel):
     """A collision model with one set of required distances for each level."""
 
-    def __init__(self, world: CollisionWorld, phase: Phase) -> None:
+    def __init__(self, world: CollisionWorld, phase: ContactPhase) -> None:
         super().__init__(world, phase)
         self._robot = world.workcell.arm.robot
         self._arrangement: _Arrangement | None = None
-        self._tests: dict[Phase, list[tuple[Any, Any]]] = {}
+        self._tests: dict[ContactPhase, list[tuple[Any, Any]]] = {}
 
-    def context(self, phase: Phase, arrangement: _Arrangement) -> CollisionContext:
+    def context(self, phase: ContactPhase, arrangement: _Arrangement) -> CollisionContext:
         """Return the context of an arrangement in a phase whose pairs this model's begin with."""
         if phase not in self._tests:
             margins = [np.maximum(self.required, FLOOR * self.required + size / 2) for size in LEVELS]
