@@ -69,8 +69,14 @@ class NlpSolver:
         If the plugin cannot be set up.
     """
 
-    def __init__(self, program: Mapping[str, Any], settings: ProgramOptions) -> None:
+    def __init__(
+        self,
+        program: Mapping[str, Any],
+        settings: ProgramOptions,
+        rows: tuple[ArrayLike, ArrayLike] = (-np.inf, np.inf),
+    ) -> None:
         self.settings = settings
+        self._rows = rows
         self._recorder = _Recorder(program) if settings.record else None
         options = {"print_time": False, **plugin_options(settings)}
         if self._recorder is not None:
@@ -89,14 +95,16 @@ class NlpSolver:
         *,
         lbx: ArrayLike = -np.inf,
         ubx: ArrayLike = np.inf,
-        lbg: ArrayLike = -np.inf,
-        ubg: ArrayLike = np.inf,
+        lbg: ArrayLike | None = None,
+        ubg: ArrayLike | None = None,
         p: ArrayLike = (),
     ) -> NlpSolution:
         """Return what is found from `x0` (n,) with parameters `p` (m,).
 
-        The bounds `lbx`, `ubx` of the variables and `lbg`, `ubg` of the constraints are as `casadi.nlpsol` takes them.
+        The bounds `lbx`, `ubx` of the variables and `lbg`, `ubg` of the constraints are as `casadi.nlpsol` takes them;
+        those of the constraints are the program's own where they are not given.
         """
+        lbg, ubg = (own if given is None else given for own, given in zip(self._rows, (lbg, ubg), strict=True))
         with lock:
             if self._recorder is not None:
                 self._recorder.points.clear()

@@ -226,15 +226,21 @@ class NonlinearProgram:
         missing = [name for name, block in self._parameters.items() if block.value is None]
         if missing:
             raise OptionError(f"parameter '{missing[0]}' has no value; call set_parameter")
-        variables, rows = self._variables.values(), self._rows.values()
+        variables, (lbg, ubg) = self._variables.values(), self._row_bounds
         return {
             "x0": _numbers(block.value for block in variables),
             "lbx": _numbers(block.lower for block in variables),
             "ubx": _numbers(block.upper for block in variables),
-            "lbg": _numbers(block.lower for block in rows),
-            "ubg": _numbers(block.upper for block in rows),
+            "lbg": lbg,
+            "ubg": ubg,
             "p": _numbers((block.value for block in self._parameters.values()), order="F"),
         }
+
+    @property
+    def _row_bounds(self) -> tuple[FloatArray, FloatArray]:
+        """The bounds (r,) of the constraints."""
+        rows = self._rows.values()
+        return _numbers(row.lower for row in rows), _numbers(row.upper for row in rows)
 
     @property
     def blocks(self) -> dict[str, dict[str, slice]]:
@@ -257,8 +263,7 @@ class NonlinearProgram:
         labels = [(label, rows.scale, rows.unit) for rows in self._rows.values() for label in rows.labels]
         if not labels:
             return ""
-        rows = self._rows.values()
-        low, high = (_numbers(side) for side in ((r.lower for r in rows), (r.upper for r in rows)))
+        low, high = self._row_bounds
         excess = np.maximum(low - values, values - high)
         worst = int(excess.argmax())
         if excess[worst] <= tolerance:
@@ -275,7 +280,7 @@ class NonlinearProgram:
             If the plugin cannot be set up, or an expression has a symbol that is neither a variable nor a parameter.
         """
         self._check_symbols()
-        return NlpSolver(self.program, options or ProgramOptions())
+        return NlpSolver(self.program, options or ProgramOptions(), self._row_bounds)
 
     def solve(self, options: ProgramOptions | None = None) -> NlpSolution:
         """Return what a solver with these `options` finds from the guess; it need not satisfy the constraints.

@@ -71,9 +71,7 @@ class SequenceProgram:
         x0 = np.clip(xi.ravel(), low, high)
         start_cost = float(self._functions.J_seq(x0.reshape(-1, 3), layers, blocked.T, *ends.T))
         packed = np.concatenate([layers.T.ravel(), blocked.ravel(), ends.T.ravel()])
-        limit = self.settings.pair_limit
-        rows = {} if limit is None else {"ubg": limit}
-        found = self._solver.solve(x0, p=packed, lbx=low, ubx=high, **rows)
+        found = self._solver.solve(x0, p=packed, lbx=low, ubx=high)
         better = bool(np.isfinite(found.f) and found.f <= start_cost and found.violation <= 1e-6)
         return Solve(
             (found.x if better else x0).reshape(-1, 3),

@@ -64,3 +64,13 @@ def test_numbers_that_are_not_finite_violate_without_bound(program, monkeypatch,
 
     solver.casadi_solver = Stub()
     assert solver.solve(program.arguments["x0"], p=program.arguments["p"]).violation == np.inf
+
+
+def test_a_solver_keeps_to_the_constraints_whatever_start_and_bounds_it_is_given(program):
+    program.add_constraint("corner", program.x[5], lower=6.5)
+    solution = program.solver().solve(program.arguments["x0"], p=program.arguments["p"], lbx=-1.0, ubx=9.0)
+    found = program.unpack(solution.x)
+    assert solution.converged and found["a"][1, 2] == pytest.approx(6.5, abs=1e-4)
+    assert found["b"].sum() == pytest.approx(0.6, abs=1e-3)
+    free = program.solver().solve(program.arguments["x0"], p=program.arguments["p"], lbx=-1.0, lbg=-np.inf)
+    assert program.unpack(free.x)["a"][1, 2] == pytest.approx(-0.0, abs=1e-2)

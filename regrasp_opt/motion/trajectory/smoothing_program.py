@@ -146,7 +146,7 @@ class _RunProgram:
         p = np.concatenate(
             [velocity, acceleration, *(part.ravel() for line, _ in lines for part in line[1:]), q[0], q[-1]]
         )
-        solution = self._solver.solve(x0, p=p, lbx=low, ubx=high, lbg=-1, ubg=1)
+        solution = self._solver.solve(x0, p=p, lbx=low, ubx=high)
         return self._parts(solution.x, lines, q) if solution.violation <= FEASIBLE else None
 
     @staticmethod
