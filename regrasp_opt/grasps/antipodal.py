@@ -54,14 +54,15 @@ def antipodal_candidates(
         tcp = frames.copy()
         tcp[:, :3, 3] -= depth * frames[:, :3, 2]
         rejected = np.ones(len(frames), dtype=bool)
-        left = np.flatnonzero(clearance.body_free(tcp))
+        left = np.flatnonzero(clearance.body_free(tcp, screen=True))
         for widening in WIDENINGS:
             left = left[contact[left] + widening <= widest]
             free = clearance.fingers_free(tcp[left], contact[left] + widening)
-            poses.append(tcp[left[free]])
-            widths.append(contact[left[free]] + widening)
-            rejected[left[free]] = False
-            left = left[~free]
+            fit, left = left[free], left[~free]
+            fit = fit[clearance.body_free(tcp[fit])]
+            poses.append(tcp[fit])
+            widths.append(contact[fit] + widening)
+            rejected[fit] = False
         frames, contact = frames[rejected], contact[rejected]
     T, width = np.concatenate(poses), np.concatenate(widths)
     return GraspCandidates(T, width, np.zeros(len(T), dtype=np.int64))

@@ -1,0 +1,90 @@
+"""The test of a gripper against an object: arrays decide most poses, and never otherwise than Coal."""
+
+from __future__ import annotations
+
+import coal
+import numpy as np
+import pytest
+import trimesh
+
+from regrasp_opt.conventions import BoolArray, FloatArray
+from regrasp_opt.end_effectors import EndEffector, load_end_effector
+from regrasp_opt.geometry.shapes import mesh_geometry, shape_geometry
+from regrasp_opt.grasps import BODY_CLEARANCE, CONTACT_TOLERANCE
+from regrasp_opt.grasps.antipodal import contact_pairs
+from regrasp_opt.grasps.candidates import frames_about
+from regrasp_opt.grasps.clearance import GripperClearance
+from regrasp_opt.grasps.surface import make_surface, sample_points
+from regrasp_opt.objects import load_object
+
+MESHES = {
+    "mug": lambda: load_object("mug").mesh,
+    "figurine": lambda: load_object("figurine").mesh,
+    "block": lambda: trimesh.creation.box((0.05, 0.04, 0.12)),
+    "slats": lambda: trimesh.util.concatenate([slat(y) for y in (-0.03, 0.0, 0.02)]),
+    "fine ring": lambda: trimesh.creation.torus(0.05, 0.012, major_sections=100, minor_sections=50),
+}
+
+
+def slat(y: float) -> trimesh.Trimesh:
+    return trimesh.creation.box((0.08, 0.002, 0.06)).apply_translation((0.0, y, 0.0))
+
+
+def poses_about(mesh: trimesh.Trimesh, tool: EndEffector, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Return frames (N, 4, 4) at contacts, others at points of the surface and in any direction, and widths (N,)."""
+    surface = make_surface(mesh)
+    middle, closing, width = contact_pairs(surface, tool, 100, rng)
+    held = frames_about(middle, closing, 6, rng, closing=True)
+    points, face = sample_points(surface, 200, rng)
+    near = frames_about(points + rng.normal(0, 0.02, points.shape), -surface.normals[face], 2, rng)
+    near[:, :3, 3] += rng.uniform(0, 0.2, (len(near), 1)) * near[:, :3, 2]
+    return np.concatenate([held, near]), np.concatenate([np.repeat(width, 6), rng.uniform(0, 0.07, len(near))])
+
+
+def coal_free(mesh: trimesh.Trimesh, tool: EndEffector, T: FloatArray, width: FloatArray | None) -> BoolArray:
+    """Return in which poses Coal, asked for each alone, finds the body (no width) or the fingers clear."""
+    geometry, free = mesh_geometry(mesh.vertices, mesh.faces), np.ones(len(T), dtype=bool)
+    inner = min(CONTACT_TOLERANCE, tool.pre_opening)
+    for i, pose in enumerate(T):
+        shapes = tool.body
+        if width is not None:
+            shapes = tool.finger_boxes(width[i] + 2 * inner, swept=tool.pre_opening - inner)
+        request = coal.CollisionRequest()
+        request.security_margin = BODY_CLEARANCE if width is None and tool.kind == "parallel" else 0.0
+        for shape in shapes:
+            X = pose @ tool.T_tcp_flange @ shape.pose
+            where, result = coal.Transform3s(X[:3, :3], X[:3, 3]), coal.CollisionResult()
+            free[i] &= not coal.collide(geometry, coal.Transform3s(), shape_geometry(shape), where, request, result)
+    return free
+
+
+@pytest.mark.parametrize("name", MESHES)
+@pytest.mark.parametrize("gripper", ["w", "r140", "s1"])
+def test_arrays_and_coal_agree(name: str, gripper: str) -> None:
+    mesh, tool = MESHES[name](), load_end_effector(gripper)
+    T, width = poses_about(mesh, load_end_effector("w"), np.random.default_rng(7))
+    clearance = GripperClearance(mesh.vertices, mesh.faces, tool)
+    body = coal_free(mesh, tool, T, None)
+    np.testing.assert_array_equal(clearance.body_free(T), body)
+    assert 0 < body.sum() < len(body)
+    assert clearance.body_free(T, screen=True)[body].all()
+    if tool.kind == "parallel":
+        fingers = coal_free(mesh, tool, T, width)
+        np.testing.assert_array_equal(clearance.fingers_free(T, width), fingers)
+        assert 0 < fingers.sum() < len(fingers)
+
+
+def test_arrays_decide_most_overlaps() -> None:
+    """Which is what they are for: of the poses that Coal refuses, few are left to it."""
+    mesh, tool = MESHES["figurine"](), load_end_effector("w")
+    T, _ = poses_about(mesh, tool, np.random.default_rng(8))
+    clearance = GripperClearance(mesh.vertices, mesh.faces, tool)
+    blocked = ~coal_free(mesh, tool, T, None)
+    assert (~clearance.body_free(T, screen=True)[blocked]).mean() > 0.75
+
+
+def test_no_poses_are_none_that_are_free() -> None:
+    mesh = MESHES["block"]()
+    clearance = GripperClearance(mesh.vertices, mesh.faces, load_end_effector("w"))
+    assert clearance.body_free(np.zeros((0, 4, 4))).shape == (0,)
+    assert clearance.fingers_free(np.zeros((0, 4, 4)), np.zeros(0)).shape == (0,)
