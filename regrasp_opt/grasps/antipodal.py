@@ -79,11 +79,10 @@ def contact_pairs(
     tilted = inward + slope * (np.cos(turn) * u + np.sin(turn) * v)
     tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
     origins, directions = np.concatenate([start, start]), np.concatenate([inward, tilted])
-    hits = cast_rays(surface, origins, directions)
     widest = end_effector.max_opening - 2 * end_effector.pre_opening
+    hits = cast_rays(surface, origins, directions, (MIN_WIDTH, widest))
     facing = np.einsum("ij,ij->i", surface.normals[hits.face], directions[hits.ray])
-    in_cone = facing >= 1.0 / np.hypot(1.0, FRICTION)
-    good = (hits.distance >= MIN_WIDTH) & (hits.distance <= widest) & in_cone
+    good = facing >= 1.0 / np.hypot(1.0, FRICTION)
     ray, width = hits.ray[good], hits.distance[good]
     return origins[ray] + 0.5 * width[:, None] * directions[ray], directions[ray], width
 

@@ -30,6 +30,9 @@ SEAL_ANGLES = np.deg2rad([18.0, 28.0, 50.0])
 SEAL_CREASES = np.array([CREASE_ANGLE, np.deg2rad(45.0), np.deg2rad(60.0)])
 """Largest angle by which the surface may bend at one edge under the cup, by grade [rad]."""
 
+PROBED_DEPTH = 2 * SEAL_DEPTHS[-1]
+"""How far below the centre rays look, in radii of the cup: twice what seals, as the first guess is rough."""
+
 NO_SEAL = len(SEAL_DEPTHS)
 """The grade of a spot where no cup seals."""
 
@@ -79,7 +82,7 @@ def seal_grades(
         Radius of the cup's rim [m].
     """
     first = _probe(surface, centers, approach, radius, FIRST_RINGS)
-    left = np.flatnonzero((first.depth < 2 * SEAL_DEPTHS[-1] * radius) & (first.angle < np.pi / 2))
+    left = np.flatnonzero((first.depth < PROBED_DEPTH * radius) & (first.angle < np.pi / 2))
     approach, grade = approach.copy(), np.full(len(centers), NO_SEAL)
     approach[left] = -first.normal[left]
     grade[left] = mouth_grades(surface, centers[left], approach[left], radius)[1]
@@ -106,13 +109,14 @@ def _probe(
     radius: float,
     rings: tuple[tuple[float, int], ...],
 ) -> RingProbe:
-    """Cast rays along `approach` on `rings` about `centers`; one that finds nothing is infinitely deep."""
+    """Cast rays along `approach` on `rings` about `centers`; one that finds nothing near is infinitely deep."""
     angle = np.concatenate([2 * np.pi * np.arange(rays) / rays for _, rays in rings])
     share = np.concatenate([np.full(rays, share) for share, rays in rings])
     u, v = tangents(approach)
     disc = radius * share[:, None] * (np.cos(angle)[:, None] * u[:, None] + np.sin(angle)[:, None] * v[:, None])
     directions = np.repeat(approach, len(angle), axis=0)
-    hits = cast_rays(surface, ((centers - radius * approach)[:, None] + disc).reshape(-1, 3), directions)
+    origins = ((centers - radius * approach)[:, None] + disc).reshape(-1, 3)
+    hits = cast_rays(surface, origins, directions, (0.0, (1.0 + PROBED_DEPTH) * radius))
     ahead = hits.distance > 0
     order = np.lexsort((hits.distance[ahead], hits.ray[ahead]))
     ray, first = np.unique(hits.ray[ahead][order], return_index=True)

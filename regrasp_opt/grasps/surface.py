@@ -112,32 +112,42 @@ def sample_points(surface: TriangleSurface, count: int, rng: np.random.Generator
     return np.einsum("pi,pij->pj", weights, surface.triangles[face]), face
 
 
-def cast_rays(surface: TriangleSurface, origins: FloatArray, directions: FloatArray) -> Hits:
+def cast_rays(
+    surface: TriangleSurface,
+    origins: FloatArray,
+    directions: FloatArray,
+    span: tuple[float, float] = (-np.inf, np.inf),
+) -> Hits:
     """Return every crossing of the lines through `origins` (R, 3) along unit `directions` (R, 3), by ray and triangle.
 
-    A line that meets a triangle passes all its edges on the same side (Pluecker coordinates).
+    Only those at distances within `span` [m] count; negative ones lie behind the origins. A line that meets a
+    triangle passes all its edges on the same side (Pluecker coordinates).
     """
     nothing = np.zeros(0, dtype=np.int64)
     found = [(nothing, nothing, np.zeros(0))]
     for start in range(0, len(origins), CHUNK):
         origin, direction = origins[start : start + CHUNK], directions[start : start + CHUNK]
-        ray, face = _candidates(surface, origin, direction)
+        ray, face = _candidates(surface, origin, direction, span)
         corners, line = surface.triangles[face] - origin[ray, None], direction[ray]
         sides = [_triple(line, corners[:, i], corners[:, j]) for i, j in ((0, 1), (1, 2), (2, 0))]
         met = (np.minimum.reduce(sides) >= 0) | (np.maximum.reduce(sides) <= 0)
         slope = np.einsum("ij,ij->i", line, surface.normals[face])
         met &= np.abs(slope) > 1e-9
         height = np.einsum("ij,ij->i", corners[met, 0], surface.normals[face[met]])
-        order = np.lexsort((face[met], ray[met]))
-        found.append((ray[met][order] + start, face[met][order], (height / slope[met])[order]))
+        ray, face, distance = ray[met], face[met], height / slope[met]
+        order = np.lexsort((face, ray))
+        order = order[(distance[order] >= span[0]) & (distance[order] <= span[1])]
+        found.append((ray[order] + start, face[order], distance[order]))
     rays, faces, distances = (np.concatenate(part) for part in zip(*found, strict=True))
     return Hits(rays, faces, distances)
 
 
-def _candidates(surface: TriangleSurface, origins: FloatArray, directions: FloatArray) -> tuple[IntArray, IntArray]:
+def _candidates(
+    surface: TriangleSurface, origins: FloatArray, directions: FloatArray, span: tuple[float, float]
+) -> tuple[IntArray, IntArray]:
     """Return ray and triangle (P,) of all pairs in which the line meets the smallest box around the triangle.
 
-    A line misses a box if it does so in one of the three views along the axes.
+    A line misses a box if it does so in one of the three views along the axes, or if all of the box is out of `span`.
     """
     ray, box = np.arange(len(origins)), np.zeros(len(origins), dtype=np.int64)
     for level, (centers, halves) in enumerate(surface.tree.levels):
@@ -147,6 +157,8 @@ def _candidates(surface: TriangleSurface, origins: FloatArray, directions: Float
         (a, b, c), (i, j, k) = halves[box].T + ROUNDING, np.abs((u, v, w))
         met = (np.abs(y * w - z * v) <= b * k + c * j) & (np.abs(z * u - x * w) <= c * i + a * k)
         met &= np.abs(x * v - y * u) <= a * j + b * i
+        along, size = x * u + y * v + z * w, a * i + b * j + c * k
+        met &= (along >= span[0] - size) & (along <= span[1] + size)
         ray, box = ray[met], box[met]
     ray, face = np.repeat(ray, LEAF), surface.tree.leaves[box].ravel()
     real = face < len(surface.triangles)

@@ -150,6 +150,19 @@ def test_creases_are_edges_that_bend_by_more_than_25_degrees() -> None:
         assert len(prism.creases) == (3 if sharp else 2) * sides
 
 
+@pytest.mark.parametrize("span", [(0.0, 0.02), (-0.01, 0.005), (0.0, np.inf)])
+def test_a_span_keeps_the_crossings_within_it_and_no_others(span: tuple[float, float]) -> None:
+    surface, rng = make_surface(trimesh.creation.torus(0.03, 0.01)), np.random.default_rng(6)
+    points, _ = sample_points(surface, 400, rng)
+    origins, directions = points + rng.normal(0, 0.01, points.shape), rng.normal(size=points.shape)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    everything, found = cast_rays(surface, origins, directions), cast_rays(surface, origins, directions, span)
+    within = (everything.distance >= span[0]) & (everything.distance <= span[1])
+    assert 0 < within.sum() < len(within)
+    for whole, part in zip(everything, found, strict=True):
+        np.testing.assert_array_equal(whole[within], part)
+
+
 def test_points_fill_a_triangle_evenly() -> None:
     triangle = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], process=False)
     points, _ = sample_points(make_surface(triangle), 6000, np.random.default_rng(5))
