@@ -14,20 +14,10 @@ from regrasp_opt.planning.tasks import random_task
 
 WALL = {"type": "box", "name": "wall", "position": [0.0, 0.35, 0.1], "size": [0.02, 0.5, 0.2]}
 POST = {"type": "cylinder", "name": "post", "position": [0.2, 0.2, 0.2], "radius": 0.03, "length": 0.4}
-FILE = """
-[[obstacles]]
-type = "box"
-name = "wall"
-position = [0.0, 0.35, 0.1]
-size = [0.02, 0.5, 0.2]
-
-[[obstacles]]
-type = "cylinder"
-name = "post"
-position = [0.2, 0.2, 0.2]
-radius = 0.03
-length = 0.4
-"""
+FILE = "".join(
+    "\n[[obstacles]]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in each.items())
+    for each in (WALL, POST)
+)
 
 
 @pytest.fixture(scope="module")
