@@ -2,9 +2,10 @@
 
 The fingers are checked in every opening between almost closed and the approach opening, so that the jaw can
 come in and let go. In most poses that overlap, a box has a point of the surface well inside, which arrays find many
-times sooner than Coal; it decides the others. Given grasps are also tested for bodies wholly inside the object, which
-touch no surface. Those of the sampler cannot have any: a finger begins `CONTACT_TOLERANCE` beyond a contact, just
-outside the surface, and the fingers and the body touch one another.
+times sooner than Coal; in others all of the object lies before a side of the box; Coal decides the rest. Given grasps
+are also tested for bodies wholly inside the object, which touch no surface. Those of the sampler cannot have any: a
+finger begins `CONTACT_TOLERANCE` beyond a contact, just outside the surface, and the fingers and the body touch one
+another.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ SCREENS = (0, 32, 128, 512, 2048)
 """Where the parts of the surface points end that are looked for in the boxes, one part after the other."""
 
 SCREEN_DEPTH = 1e-5
-"""How deep in a box a point decides [m]: far more than the rounding of Coal, whose answers are not to change."""
+"""How deep in a box a point, or how far off it all points decide [m]: far more than what Coal rounds, which decides."""
 
 SCREENED = 2**16
 """Pairs of a pose and a point that are looked at together."""
@@ -50,7 +51,10 @@ class GripperClearance:
         self._solid = Solid(self._object) if given else None
         mesh = trimesh.Trimesh(vertices, faces, process=False)
         points = trimesh.sample.sample_surface(mesh, SCREENS[-1], seed=0)[0]
-        self._points = np.column_stack([points, np.ones(len(points))]).astype(np.float32)
+        middle = points.mean(axis=0)
+        self._points = np.column_stack([points - middle, np.ones(len(points))]).astype(np.float32)
+        self._hull = ((vertices if given else mesh.convex_hull.vertices) - middle).astype(np.float32)
+        self._offset = np.pad(middle[:, None], ((0, 1), (3, 0)))
         self._T_tcp_flange = end_effector.T_tcp_flange
         inner = min(CONTACT_TOLERANCE, end_effector.pre_opening)
         self._fingers = end_effector.finger_boxes(2 * inner, swept=end_effector.pre_opening - inner)
@@ -80,7 +84,7 @@ class GripperClearance:
             for shape, poses in placed:
                 if isinstance(shape, Box):
                     left = np.flatnonzero(free)
-                    free[left] = ~_reaches_in(self._points[start:end], shape, poses[left])
+                    free[left] = ~_reaches_in(self._points[start:end], shape, poses[left] - self._offset)
         return free
 
     def _decide(self, free: BoolArray, placed: Sequence[tuple[Shape, FloatArray]], margin: float) -> BoolArray:
@@ -90,7 +94,11 @@ class GripperClearance:
         for shape, poses in placed:
             geometry = shape_geometry(shape)
             points = Solid(geometry).shells.points if self._solid else np.zeros((0, 3))
-            for index in np.flatnonzero(free):
+            left = np.flatnonzero(free)
+            if isinstance(shape, Box) and self._solid is None:
+                half = shape.size / 2 + margin + SCREEN_DEPTH
+                left = left[~_beside(self._hull, half, poses[left] - self._offset)]
+            for index in left:
                 rotation, position = poses[index, :3, :3], poses[index, :3, 3]
                 where = coal.Transform3s(rotation, position)
                 hit = coal.collide(self._object, origin, geometry, where, request, coal.CollisionResult())
@@ -110,6 +118,19 @@ def _reaches_in(points: NDArray[np.float32], box: Box, poses: FloatArray) -> Boo
         place = into.reshape(-1, 4).astype(np.float32) @ points.T
         x, y, z = (np.abs(place, out=place) < 1.0).reshape(3, -1, len(points))
         found[start : start + step] = (x & y & z).any(axis=1)
+    return found
+
+
+def _beside(hull: NDArray[np.float32], half: FloatArray, poses: FloatArray) -> BoolArray:
+    """Return in which poses (N, 4, 4) a side of the box of `half` edges (3,) has all points `hull` (P, 3) before it."""
+    found = np.zeros(len(poses), dtype=bool)
+    step = max(SCREENED // len(hull), 1)
+    for start in range(0, len(poses), step):
+        rotation, position = poses[start : start + step, :3, :3], poses[start : start + step, :3, 3]
+        along = (rotation.transpose(0, 2, 1).reshape(-1, 3).astype(np.float32) @ hull.T).reshape(-1, 3, len(hull))
+        middle = np.einsum("ni,nij->nj", position, rotation)
+        apart = (along.min(axis=2) > middle + half) | (along.max(axis=2) < middle - half)
+        found[start : start + step] = apart.any(axis=1)
     return found
 
 

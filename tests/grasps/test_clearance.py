@@ -22,6 +22,7 @@ MESHES = {
     "figurine": lambda: load_object("figurine").mesh,
     "block": lambda: trimesh.creation.box((0.05, 0.04, 0.12)),
     "slats": lambda: trimesh.util.concatenate([slat(y) for y in (-0.03, 0.0, 0.02)]),
+    "far from its origin": lambda: trimesh.creation.capsule(0.06, 0.02).apply_translation((4e4, -3e4, 2e4)),
     "fine ring": lambda: trimesh.creation.torus(0.05, 0.012, major_sections=100, minor_sections=50),
 }
 
