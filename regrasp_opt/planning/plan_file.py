@@ -20,7 +20,15 @@ from regrasp_opt.planning.model_store import find_model
 from regrasp_opt.planning.plan_data import PlanData, Status, Transition
 from regrasp_opt.planning.problem import RegraspProblem, assemble
 from regrasp_opt.scene import Workcell, load_workcell
-from regrasp_opt.scene.record import Reference, SceneRecord, absolute, reference, scene_changes, scene_content
+from regrasp_opt.scene.record import (
+    Reference,
+    SceneRecord,
+    absolute,
+    added_fingerprint,
+    reference,
+    scene_changes,
+    scene_content,
+)
 from regrasp_opt.schemas import Section, read_json, validated
 
 SCHEMA = 2
@@ -195,6 +203,8 @@ def _unchanged_cell(record: _Workcell | _Workcell1, path: Path) -> Workcell:
     cell = load_workcell(name, end_effector=record.end_effector)
     if isinstance(record, _Workcell):
         cell = cell.with_obstacles(obstacle.shape() for obstacle in record.obstacles if obstacle.added)
+        if added_fingerprint(record.obstacles) != record.added_fingerprint:
+            raise PlanFileError(f"the obstacles of the plan '{path}' were changed in its file; plan again")
         changes = scene_changes(record, cell)
     else:
         changes = [] if cell.fingerprint() == record.fingerprint else ["schema 1 does not tell what"]

@@ -82,10 +82,14 @@ class ObstacleRecord(Placed):
 
     @model_validator(mode="after")
     def _complete(self) -> ObstacleRecord:
-        mesh = ("vertices", "faces") if self.added else ("fingerprint",)
-        for key in mesh if self.type == "mesh" else SIZE_KEYS[self.type]:
+        mesh = ("fingerprint", "vertices", "faces") if self.added else ("fingerprint",)
+        needed = mesh if self.type == "mesh" else SIZE_KEYS[self.type]
+        for key in needed:
             if not getattr(self, key):
                 raise ValueError(f"a {self.type} needs the key '{key}'")
+        for key in ("size", "radius", "length", "fingerprint", "vertices", "faces"):
+            if getattr(self, key) is not None and key not in needed:
+                raise ValueError(f"a {self.type} has no key '{key}'; allowed: {', '.join(needed)}")
         if self.faces and max(map(max, self.faces)) >= len(self.vertices or ()):
             raise ValueError("a face names a vertex that does not exist")
         return self
@@ -105,6 +109,7 @@ class SceneRecord(Section):
     arms: Annotated[list[ArmRecord], Field(min_length=1, max_length=1)]
     supports: Annotated[list[SupportRecord], Field(min_length=1, max_length=1)]
     obstacles: list[ObstacleRecord]
+    added_fingerprint: str
     clearance: ClearanceSection
 
 
@@ -120,15 +125,27 @@ def scene_content(cell: Workcell) -> dict[str, Any]:
         {name: np.asarray(getattr(support, name)).tolist() for name in ("name", *TableSection.model_fields)}
         for support in cell.supports
     ]
+    obstacles = [ObstacleRecord.model_validate(_obstacle(shape, shape.name in cell.added)) for shape in cell.obstacles]
     record = SceneRecord.model_validate(
         {
             "arms": [{"name": "arm", **_placed(cell.arm.T_world_base), **arm}],
             "supports": [{**support, "workspace": workspace} for support in supports],
-            "obstacles": [_obstacle(shape, shape.name in cell.added) for shape in cell.obstacles],
+            "obstacles": obstacles,
+            "added_fingerprint": added_fingerprint(obstacles),
             "clearance": vars(cell.clearance),
         }
     )
     return record.model_dump(mode="json", exclude_none=True)
+
+
+def added_fingerprint(obstacles: Sequence[ObstacleRecord]) -> str:
+    """Return a hash of those `obstacles` that were added; names and the order do not matter.
+
+    It is made of the numbers of the record, which JSON keeps exactly, not of the poses made from them.
+    """
+    left_out = {"name", "added", "vertices", "faces"}  # a mesh is held to its own fingerprint
+    added = [shape.model_dump(exclude=left_out, exclude_none=True) for shape in obstacles if shape.added]
+    return content_hash(*sorted(content_hash(*shape.items()) for shape in added))
 
 
 def reference(item: Any, source: str) -> dict[str, str]:

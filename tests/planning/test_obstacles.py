@@ -7,7 +7,7 @@ import pytest
 
 from regrasp_opt import RegraspPlan, RegraspProblem, prepare, solve_sequence
 from regrasp_opt.conventions import translation
-from regrasp_opt.errors import OptionError, PoseError, WorkcellError
+from regrasp_opt.errors import OptionError, PlanFileError, PoseError, WorkcellError
 from regrasp_opt.geometry.shapes import Box, Cylinder
 from regrasp_opt.motion import plan_motion
 from regrasp_opt.planning.tasks import random_task
@@ -74,7 +74,8 @@ def test_plans_keep_clear_of_them_and_keep_them(blocked_plan, tmp_path):
         if obstacle["name"] == "post":
             obstacle["position"] = [*blocked_plan.poses[-1][:2, 3].tolist(), 0.2]
     (tmp_path / "moved.json").write_text(json.dumps(content), "utf-8")
-    assert not RegraspPlan.load(tmp_path / "moved.json").residuals().hold
+    with pytest.raises(PlanFileError, match=r"the obstacles of the plan '.*' were changed in its file; plan again"):
+        RegraspPlan.load(tmp_path / "moved.json")
 
 
 def test_motions_keep_clear_of_them(blocked_plan):

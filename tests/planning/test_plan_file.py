@@ -277,6 +277,79 @@ def test_obstacles_that_no_file_has_come_back_with_the_plan(plan, tmp_path):
         cell.with_obstacles([wall]).with_obstacles([wall])
 
 
+DAMAGES = {
+    "moved": lambda shapes: shapes[1]["position"].__setitem__(2, 0.3),
+    "moved a little": lambda shapes: shapes[0]["position"].__setitem__(0, 1e-7),
+    "turned": lambda shapes: shapes[2]["rpy"].__setitem__(2, 0.1),
+    "shrunk": lambda shapes: shapes[0].update(size=[1e-6, 1e-6, 1e-6]),
+    "thinner": lambda shapes: shapes[1].update(radius=0.001),
+    "another mesh": lambda shapes: shapes[2].update(fingerprint="0" * 64),
+    "removed": lambda shapes: shapes.pop(1),
+    "all removed": lambda shapes: shapes.clear(),
+    "twice": lambda shapes: shapes.append({**shapes[0], "name": "more"}),
+    "not added": lambda shapes: shapes[0].update(added=False),
+}
+
+
+@pytest.fixture(scope="module")
+def with_added(plan, tmp_path_factory):
+    """The content of a plan file with added obstacles of every type."""
+    ball = trimesh.creation.icosphere(1, 0.05)
+    shapes = [
+        Box("box", np.array([0.1, 0.2, 0.3]), translation(0.0, -0.5, 0.2)),
+        Cylinder("pipe", 0.02, 0.3, planar_transform([0.4, -0.4, 1.0]) @ rotated(np.pi / 2)),
+        Mesh("ball", np.array(ball.vertices), np.array(ball.faces), translation(-0.5, -0.3, 0.1) @ rotated(0.3)),
+    ]
+    problem = assemble(plan.problem.object, plan.problem.workcell.with_obstacles(shapes), plan.problem.grasps, None)
+    path = tmp_path_factory.mktemp("added") / "plan.json"
+    replace(plan, problem=problem).save(path)
+    return json.loads(path.read_text("utf-8"))
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+def test_added_obstacles_that_were_changed_in_the_file_are_noticed(name, with_added, tmp_path):
+    content = copy.deepcopy(with_added)
+    DAMAGES[name](content["workcell"]["obstacles"])
+    (tmp_path / "plan.json").write_text(json.dumps(content), encoding="utf-8")
+    assert refusal(tmp_path / "plan.json").endswith("were changed in its file; plan again")
+
+
+def test_added_meshes_are_held_to_their_fingerprint(with_added, tmp_path):
+    content = copy.deepcopy(with_added)
+    content["workcell"]["obstacles"][2]["vertices"][0][0] = 0.1
+    (tmp_path / "plan.json").write_text(json.dumps(content), encoding="utf-8")
+    assert "the mesh of obstacle 'ball' is another" in refusal(tmp_path / "plan.json")
+    content = copy.deepcopy(with_added)
+    del content["workcell"]["added_fingerprint"]
+    (tmp_path / "plan.json").write_text(json.dumps(content), encoding="utf-8")
+    assert "'workcell.added_fingerprint'" in refusal(tmp_path / "plan.json")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"radius": 0.001, "length": 0.001}, "a box has no key 'radius'; allowed: size"),
+        ({"type": "cylinder", "radius": 0.001, "length": 0.001}, "a cylinder has no key 'size'"),
+    ],
+)
+def test_keys_of_another_type_are_refused(change, said, with_added, tmp_path):
+    content = copy.deepcopy(with_added)
+    content["workcell"]["obstacles"][0].update(change)
+    (tmp_path / "plan.json").write_text(json.dumps(content), encoding="utf-8")
+    assert said in refusal(tmp_path / "plan.json")
+
+
+def test_names_and_order_of_added_obstacles_may_change(with_added, tmp_path):
+    content, path = copy.deepcopy(with_added), tmp_path / "plan.json"
+    content["workcell"]["obstacles"].reverse()
+    content["workcell"]["obstacles"][0]["name"] = "globe"
+    path.write_text(json.dumps(content), encoding="utf-8")
+    again = RegraspPlan.load(path)
+    assert again.problem.workcell.added == ("globe", "pipe", "box")
+    again.save(path)
+    assert RegraspPlan.load(path).residuals().hold
+
+
 def independent_problems(path):
     content = json.loads(path.read_text("utf-8"))
     return PlanVerifier(content).problems(content)
@@ -294,7 +367,11 @@ def rotated(pitch):
         ({"faces": [[0, 1, 9]]}, "a face names a vertex that does not exist"),
         ({"faces": [[0, 1, -1]]}, "faces"),
         ({"vertices": []}, "needs the key 'vertices'"),
+        ({"fingerprint": ""}, "needs the key 'fingerprint'"),
+        ({"added": False}, "a mesh has no key 'vertices'; allowed: fingerprint"),
+        ({"radius": 0.1}, "a mesh has no key 'radius'; allowed: fingerprint, vertices, faces"),
         ({"type": "box"}, "needs the key 'size'"),
+        ({"type": "box", "size": [1.0, 1.0, 1.0]}, "a box has no key 'fingerprint'; allowed: size"),
         ({"type": "cylinder", "radius": -1.0, "length": 1.0}, "radius"),
         ({"position": [0.0, 0.0, 1e999]}, "position"),
         ({"name": "table"}, "the name 'table' is taken"),
@@ -303,7 +380,7 @@ def rotated(pitch):
 def test_damaged_obstacles_are_refused(change, said, plan_content, tmp_path):
     content = copy.deepcopy(plan_content)
     shape = {"name": "net", "type": "mesh", "position": [0, -0.5, 0.3], "rpy": [0, 0, 0], "added": True}
-    mesh = {"vertices": [[0, 0, 0], [1, 0, 0], [0, 1, 0]], "faces": [[0, 1, 2]]}
+    mesh = {"fingerprint": "0" * 64, "vertices": [[0, 0, 0], [1, 0, 0], [0, 1, 0]], "faces": [[0, 1, 2]]}
     content["workcell"]["obstacles"] = [{**shape, **mesh, **change}]
     (tmp_path / "plan.json").write_text(json.dumps(content), encoding="utf-8")
     with pytest.raises(RegraspError) as info:
