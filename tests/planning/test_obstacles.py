@@ -101,7 +101,7 @@ def test_what_is_in_the_way_from_the_start_is_named(bottle_problem, cluttered):
         ({**WALL, "type": "ball"}, "obstacle 0: key 'type'"),
         ({key: value for key, value in POST.items() if key != "radius"}, "a cylinder needs the key 'radius'"),
         ({**WALL, "name": "table"}, "the name 'table' is taken"),
-        ({"type": "mesh", "name": "m", "position": [0, 0, 1], "file": "none.stl"}, "is not there; give a path"),
+        ({"type": "mesh", "name": "m", "position": [0, 0, 1], "file": "none.stl"}, "does not exist; give a path"),
     ],
 )
 def test_wrong_obstacles_are_refused(bottle_problem, wrong, said):
