@@ -40,6 +40,14 @@ def both(*meshes):
     return trimesh.util.concatenate(meshes)
 
 
+def mirrored():
+    """Return a box beside `BOX` that has the same wall, wound oppositely there."""
+    return raw(BOX.vertices * [-1, 1, 1] + [1, 0, 0], BOX.faces[:, ::-1])
+
+
+FIN = raw(np.vstack([BOX.vertices[BOX.faces[0, :2]], [[0.0, 5.0, 5.0]]]), [[0, 1, 2]])
+
+
 MESHES = {
     "a box": (BOX, [True, True, False, False]),
     "inside out": (inverted(BOX), [True, True, False, False]),
@@ -49,6 +57,22 @@ MESHES = {
         [True, True, False, False],
     ),
     "every face twice": (raw(BOX.vertices, np.vstack([BOX.faces, BOX.faces[:, ::-1]])), [True, True, False, False]),
+    "boxes with a wall in common": (both(BOX, mirrored()), [True, True, True, False]),
+    "boxes with a wall in common, one inside out": (both(BOX, inverted(mirrored())), [True, True, True, False]),
+    "boxes with a wall in common, both inside out": (
+        both(inverted(BOX), inverted(mirrored())),
+        [True, True, True, False],
+    ),
+    "boxes with a wall in common, a face twice": (
+        both(BOX, mirrored(), raw(BOX.vertices, BOX.faces[(BOX.triangles[:, :, 0] < 0).all(axis=1)][:1])),
+        [True, True, True, False],
+    ),
+    "an open box at a wall in common": (
+        both(BOX, raw(mirrored().vertices, [f for f in mirrored().faces if (mirrored().vertices[f][:, 0] < 1).any()])),
+        [False, False, False, False],
+    ),
+    "a box with a fin of two sides": (both(BOX, FIN, inverted(FIN)), [True, True, False, False]),
+    "an open sheet of two sides": (both(FIN, inverted(FIN)), [False, False, False, False]),
     "a cavity": (both(BOX, inverted(SMALL)), [False, True, False, False]),
     "a cavity inside out": (both(inverted(BOX), SMALL), [False, True, False, False]),
     "a solid within a solid": (both(BOX, SMALL), [True, True, False, False]),
@@ -74,6 +98,15 @@ def test_points_are_inside_closed_parts_but_not_in_cavities(name):
     body = solid(mesh)
     assert [body.holds(np.array([point])) for point in (CENTER, WALL, OUT, BESIDE)] == expected
     assert body.shells.open_parts == name.count("open")
+
+
+@pytest.mark.parametrize("shift", np.linspace(0, 1e-7, 5))
+def test_vertices_that_differ_by_rounding_are_one_wherever_they_lie(shift):
+    noise = np.random.default_rng(0).uniform(-1, 1, (36, 3)) * 2e-8
+    body = solid(raw(BOX.triangles.reshape(-1, 3) + noise + shift, np.arange(36).reshape(-1, 3)))
+    assert body.shells.open_parts == 0 and body.holds(np.array([CENTER])) and not body.holds(np.array([OUT]))
+    apart = solid(raw(BOX.triangles.reshape(-1, 3) + 1e3 * noise, np.arange(36).reshape(-1, 3)))
+    assert apart.shells.open_parts == 12
 
 
 def test_points_about_a_concave_mesh_agree_with_its_analytic_inside():

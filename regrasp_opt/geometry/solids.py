@@ -19,6 +19,7 @@ import pinocchio as pin
 import trimesh
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 
 from regrasp_opt.conventions import FloatArray, IntArray, invert
 from regrasp_opt.geometry.shapes import mesh_faces
@@ -56,30 +57,64 @@ class Shells(NamedTuple):
 
 
 def find_shells(vertices: FloatArray, faces: IntArray) -> Shells:
-    """Return the parts of the mesh with `vertices` (V, 3) and `faces` (F, 3), the closed ones wound outward."""
-    steps = np.round(vertices / (SAME_VERTEX * max(float(np.ptp(vertices, axis=0).max()), 1e-9)))
-    _, first, number = np.unique(steps, axis=0, return_index=True, return_inverse=True)
-    vertices, faces = vertices[first], number.reshape(-1)[faces]
-    corners, kept = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)  # both sides of a sheet are one face
-    faces = faces[kept[(np.diff(corners, axis=1) > 0).all(axis=1)]]
-    ones = np.ones(2 * len(faces))
-    links = coo_array((ones, (faces[:, :2].T.ravel(), faces[:, 1:].T.ravel())), shape=(len(vertices),) * 2)
-    _, sample, part = np.unique(
-        connected_components(links, directed=False)[1][faces[:, 0]], return_index=True, return_inverse=True
+    """Return the parts of the mesh with `vertices` (V, 3) and `faces` (F, 3), the closed ones wound outward.
+
+    Faces that a file has more than once are one, as both sides of a sheet are. Where that leaves a part open, they are
+    taken for walls between solids, inside the material: left out where they are wound oppositely, else in pairs.
+    """
+    vertices, same = np.unique(vertices, axis=0, return_inverse=True)
+    first, label = merge_close(vertices, SAME_VERTEX * max(float(np.ptp(vertices, axis=0).max()), 1e-9))
+    vertices, faces = vertices[first], label[same.reshape(-1)[faces]]
+    faces = faces[(np.diff(np.sort(faces, axis=1), axis=1) > 0).all(axis=1)]
+    _, kept, which = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_inverse=True)
+    turns = np.sign(faces - np.roll(faces, 1, axis=1)).prod(axis=1)
+    copies, turns = (np.bincount(which.reshape(-1), weights=w, minlength=len(kept)) for w in (turns * turns, turns))
+    faces = faces[kept]
+    part = _parts(faces, len(vertices))
+    left, sample = np.unique(part, return_index=True)
+    shells: list[FloatArray] = []
+    for walls in (copies == 0, turns == 0, copies % 2 == 0):
+        at = np.flatnonzero(np.isin(part, left) & ~walls)
+        piece = _parts(faces[at], len(vertices))
+        closed = _closed(vertices, faces[at], piece)
+        done = np.setdiff1d(part[at], part[at][~np.isin(piece, list(closed))])
+        shells += [closed[p] for p in np.unique(piece[np.isin(part[at], done)]).tolist()]
+        left = np.setdiff1d(left, done)
+    triangles = np.concatenate([np.zeros((0, 3, 3)), *_outward(shells)])
+    return Shells(vertices[faces[sample, 0]], triangles, len(left))
+
+
+def merge_close(vertices: FloatArray, reach: float) -> tuple[IntArray, IntArray]:
+    """Return which of the `vertices` (V, 3) stay where those within `reach` are one, and which of them each becomes."""
+    pairs = KDTree(vertices).query_pairs(reach, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(vertices),) * 2)
+    _, label = connected_components(links, directed=False)
+    return np.unique(label, return_index=True)[1], label
+
+
+def _parts(faces: IntArray, vertices: int) -> IntArray:
+    """Return the number of the connected part that each face (F,) is in."""
+    links = coo_array(
+        (np.ones(2 * len(faces)), (faces[:, :2].T.ravel(), faces[:, 1:].T.ravel())), shape=(vertices,) * 2
     )
-    count, part = len(sample), part.reshape(-1)
+    parts: IntArray = connected_components(links, directed=False)[1][faces[:, 0]]
+    return parts
+
+
+def _closed(vertices: FloatArray, faces: IntArray, part: IntArray) -> dict[int, FloatArray]:
+    """Return the triangles (F, 3, 3) of the parts that are closed, each consistently wound, by their numbers."""
     which, turns = _edges(faces, len(vertices))
-    odd, unbalanced = (np.zeros(count, dtype=bool) for _ in range(2))
-    odd[np.repeat(part, 3)[np.bincount(which)[which] % 2 == 1]] = True
-    unbalanced[np.repeat(part, 3)[np.bincount(which, weights=turns)[which] != 0]] = True
-    shells = [vertices[faces[part == p]] for p in np.flatnonzero(~odd & ~unbalanced)]
-    for p in np.flatnonzero(~odd & unbalanced):
+    edges = np.repeat(part, 3)
+    odd = edges[np.bincount(which)[which] % 2 == 1]
+    unbalanced = set(edges[np.bincount(which, weights=turns)[which] != 0].tolist())
+    found = {p: vertices[faces[part == p]] for p in np.setdiff1d(part, odd).tolist()}
+    for p in unbalanced & set(found):
         mesh = trimesh.Trimesh(vertices, faces[part == p], process=False)
         trimesh.repair.fix_winding(mesh)
-        if mesh.is_winding_consistent:
-            shells.append(vertices[mesh.faces])
-    triangles = np.concatenate([np.zeros((0, 3, 3)), *_outward(shells)])
-    return Shells(vertices[faces[sample, 0]], triangles, count - len(shells))
+        found[p] = vertices[mesh.faces]
+        if not mesh.is_winding_consistent:
+            del found[p]
+    return found
 
 
 def _edges(faces: IntArray, vertices: int) -> tuple[IntArray, IntArray]:

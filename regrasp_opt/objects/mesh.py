@@ -10,12 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 from regrasp_opt.errors import MeshError, OptionError
 from regrasp_opt.geometry.mesh_files import quiet_trimesh, read_triangles
+from regrasp_opt.geometry.solids import merge_close
 
 LARGEST, SMALLEST = 2.0, 0.005
 """Longest extents beyond which the file is taken to be in another unit [m]."""
@@ -94,7 +92,8 @@ def _check_size(path: Path, extent: float, scale: float) -> None:
 
 def _repaired(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """Return a cleaned mesh: as clean as trimesh and manifold3d make it without inventing much surface."""
-    mesh = _with_close_vertices_merged(mesh)
+    first, label = merge_close(mesh.vertices, MERGE_DISTANCE * mesh.extents.max())
+    mesh = trimesh.Trimesh(mesh.vertices[first], label[mesh.faces], process=False)
     mesh.update_faces(mesh.nondegenerate_faces())
     mesh.update_faces(mesh.unique_faces())
     mesh.remove_unreferenced_vertices()
@@ -112,15 +111,6 @@ def _repaired(path: Path, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
         return _united(path, bodies)
     trimesh.repair.fix_normals(mesh)
     return mesh
-
-
-def _with_close_vertices_merged(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    count = len(mesh.vertices)
-    pairs = KDTree(mesh.vertices).query_pairs(MERGE_DISTANCE * mesh.extents.max(), output_type="ndarray")
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
-    _, labels = connected_components(links, directed=False)
-    _, first = np.unique(labels, return_index=True)
-    return trimesh.Trimesh(mesh.vertices[first], labels[mesh.faces], process=False)
 
 
 def _united(path: Path, bodies: list[trimesh.Trimesh]) -> trimesh.Trimesh:

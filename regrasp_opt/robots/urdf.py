@@ -15,6 +15,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from xml.parsers import expat
 
+import pinocchio as pin
+
 from regrasp_opt.errors import WorkcellError
 
 logger = logging.getLogger(__name__)
@@ -57,12 +59,12 @@ def parse_xml(content: bytes) -> ET.Element:
 
 
 def read_urdf(path: Path) -> ET.Element:
-    """Return the root element of the URDF file at `path`.
+    """Return the root element of the URDF file at `path`, with quaternions of joints as roll, pitch and yaw.
 
     Raises
     ------
     WorkcellError
-        If the file is missing, is not XML, or holds no robot.
+        If the file is missing, is not XML, holds no robot, or a joint has a malformed quaternion.
     """
     try:
         content = path.read_bytes()
@@ -74,7 +76,22 @@ def read_urdf(path: Path) -> ET.Element:
         raise WorkcellError(f"robot file {path} is not valid XML: {error}") from error
     if root.tag != "robot" or root.find("link") is None:
         raise WorkcellError(f"robot file {path} has no <robot> with links; give a URDF file (expand xacro first)")
+    for joint in root.iterfind("joint"):
+        for origin in joint.iterfind("origin[@quat_xyzw]"):
+            _turn_to_rpy(origin, f"{path}: joint '{joint.get('name')}'")
     return root
+
+
+def _turn_to_rpy(origin: ET.Element, where: str) -> None:
+    """Write the quaternion of `origin` (URDF 1.2), which Pinocchio and most simulators pass over, as ``rpy``."""
+    text = origin.attrib.pop("quat_xyzw")
+    turn = [_number(word) for word in text.split()]
+    length = math.hypot(*turn)
+    if len(turn) != 4 or not 0 < length < math.inf:
+        raise WorkcellError(f'{where}: <origin> has quat_xyzw="{text}"; give 4 numbers that are not all zero')
+    x, y, z, w = (value / length for value in turn)
+    rpy = pin.rpy.matrixToRpy(pin.Quaternion(w, x, y, z).normalized().matrix())
+    origin.set("rpy", " ".join(map(repr, rpy.tolist())))
 
 
 def joint_of_child(root: ET.Element, path: Path) -> dict[str, ET.Element]:

@@ -4,6 +4,7 @@ import logging
 import math
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import trimesh
 from arms import arm_urdf
@@ -121,6 +122,30 @@ def test_limits_beyond_two_turns_may_be_degrees(tmp_path, caplog, limits, readin
 def test_strokes_in_millimetres_are_refused(tmp_path):
     text = arm_urdf([("prismatic", "0 0 0.3", "0 0 0", "0 1 0", (0, 400))])
     assert "joint 'j1' slides from 0 to 400 m; give its limits in metres" in refusal(write(tmp_path / "a.urdf", text))
+
+
+QUATERNIONS = [[0, 0, 0.7071068, 0.7071068], [0, 0, -3, 3], [0, 1, 0, 1], [1e-5, 1, 0, 1], [1, 1, 1, 1], [1, 0, 0, 0]]
+
+
+@pytest.mark.parametrize("turn", [*QUATERNIONS, *np.random.default_rng(0).normal(size=(5, 4)).tolist()])
+@pytest.mark.parametrize("kind", ["revolute", "fixed"])
+def test_joints_turn_by_their_quaternions(tmp_path, turn, kind):
+    rows = [("revolute", (-2, 2)), (kind, (-2, 2)), ("revolute", (-2, 2))]
+    text = arm_urdf([(kind, "0 0 0.3", "0 0 0", "0 1 0", limits) for kind, limits in rows])
+    given = " ".join(map(repr, turn))
+    second = text.index("rpy", text.index("'j2'"))
+    text = text[:second] + text[second:].replace("rpy='0 0 0'", f"quat_xyzw='{given}'", 1)
+    robot = load_robot(write(tmp_path / "arm.urdf", text))
+    expected = pin.Quaternion(turn[3], *turn[:3]).normalized().matrix()
+    np.testing.assert_allclose(robot.forward(np.zeros(robot.dof))[:3, :3], expected, atol=1e-9)
+    assert b"quat_xyzw" not in robot.urdf  # what is exported is read by others
+
+
+@pytest.mark.parametrize("turn", ["", "0 0 1", "0 0 0 1 0", "0 0 0 one", "0 0 0 0", "0 0 nan 1", "0 0 inf 1"])
+def test_malformed_quaternions_are_refused(tmp_path, turn):
+    text = PLAIN.replace("rpy='0 0 0'", f"quat_xyzw='{turn}'", 1)
+    said = refusal(write(tmp_path / "arm.urdf", text))
+    assert f"joint 'j1': <origin> has quat_xyzw=\"{turn}\"; give 4 numbers that are not all zero" in said
 
 
 @pytest.fixture
