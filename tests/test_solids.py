@@ -4,6 +4,7 @@ import coal
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from regrasp_opt.conventions import translation
 from regrasp_opt.geometry.shapes import mesh_geometry
@@ -169,3 +170,19 @@ def test_a_mesh_of_slivers_has_no_inside_and_is_in_nothing():
     assert len(slivers.shells.points) == 0 and not slivers.holds(np.zeros((1, 3)))
     assert not solid(BOX).may_hold(slivers) and not slivers.may_hold(solid(BOX))
     assert not nested(solid(BOX), slivers, np.eye(4))
+
+
+@pytest.mark.parametrize("depth", [0.0005, 0.003, 0.008])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_primitive_in_the_surface_of_a_fine_mesh_is_no_small_overlap(depth, seed):
+    """Coal ends at the first triangle that it finds overlapping, however little that one is overlapped."""
+    ball = trimesh.creation.icosphere(4, 0.05)
+    body = Solid(mesh_geometry(ball.vertices, ball.faces))
+    finger = Solid(coal.Box(0.02, 0.004, 0.06))
+    T = np.eye(4)
+    T[:3, :3] = Rotation.random(random_state=seed).as_matrix()
+    T[:3, 3] = T[:3, 1] * (0.05 + 0.002 - depth)  # its thin side against the ball
+    found = distance(finger, body, T, np.eye(4))
+    assert found < -depth
+    T[:3, 3] = T[:3, 1] * (0.05 + 0.002 + depth)
+    assert 0.9 * depth < distance(finger, body, T, np.eye(4)) < 1.6 * depth

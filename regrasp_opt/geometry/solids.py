@@ -237,13 +237,15 @@ def overlap(a: Solid, b: Solid) -> float:
 
 
 def distance(a: Solid, b: Solid, T_world_a: FloatArray, T_world_b: FloatArray) -> float:
-    """Return the distance of two bodies at poses (4, 4) [m], negative where they overlap or one is in the other."""
+    """Return the distance of two bodies at poses (4, 4) [m], negative where they overlap or one is in the other.
+
+    How deep a mesh overlaps another body is not measured: it is at least what `overlap` says.
+    """
     transforms = [coal.Transform3s(T[:3, :3], T[:3, 3]) for T in (T_world_a, T_world_b)]
     request, result = coal.DistanceRequest(), coal.DistanceResult()
     found = float(coal.distance(a.geometry, transforms[0], b.geometry, transforms[1], request, result))
-    if (found <= 0 and a.is_mesh and b.is_mesh) or nested(a, b, invert(T_world_a) @ T_world_b):
-        return overlap(a, b)
-    return found
+    touching = found <= 0 and (a.is_mesh or b.is_mesh)  # Coal ends at the first such triangle, however deep others are
+    return min(found, overlap(a, b)) if touching or nested(a, b, invert(T_world_a) @ T_world_b) else found
 
 
 class Containment:

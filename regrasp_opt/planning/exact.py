@@ -19,6 +19,9 @@ from regrasp_opt.feasibility.dataset import random_poses
 SIZES = (128, 512, 1024)
 """Numbers of random poses that are tried, one after the other; each keeps those of the one before."""
 
+PORTION = 64
+"""Poses that are checked before the clock is looked at."""
+
 PATHS = 50
 """Paths of one length that are offered at most."""
 

@@ -20,7 +20,7 @@ from regrasp_opt.connectivity import CostOptions, SequenceObjective, exact_energ
 from regrasp_opt.conventions import BoolArray, FloatArray, as_seed, planar_transform
 from regrasp_opt.errors import OptionError
 from regrasp_opt.planning.ends import checked_end, known_energy
-from regrasp_opt.planning.exact import SIZES, Path, RestingPoses
+from regrasp_opt.planning.exact import PORTION, SIZES, Path, RestingPoses
 from regrasp_opt.planning.plan import RegraspPlan
 from regrasp_opt.planning.plan_data import Status
 from regrasp_opt.planning.problem import RegraspProblem
@@ -353,8 +353,9 @@ class _ExactSearch(_Search):
             if self.clock.over:
                 return found or self.result(Status.TIME_LIMIT)
             with self.clock.timed("checks"):
-                poses.grow(size)
-            self.stats.append({"refiner": EXACT, "poses": size, "graspable": len(poses.xi)})
+                while poses.drawn < size and not self.clock.over:
+                    poses.grow(min(size, poses.drawn + PORTION))
+            self.stats.append({"refiner": EXACT, "poses": poses.drawn, "graspable": len(poses.xi)})
             start, goal = (end.all() for end in self.ends)
             better = next(filter(None, map(self._accepted_plan, poses.shortest_paths(start, goal, fewest))), None)
             if better is not None:

@@ -5,15 +5,16 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from regrasp_opt.conventions import FloatArray, rotation_rpy, translation
+from regrasp_opt.conventions import FloatArray, as_pose, rotation_rpy, translation
 from regrasp_opt.end_effectors import END_EFFECTOR_NAMES, EndEffector, load_end_effector
-from regrasp_opt.errors import HomeCollisionError, MeshError, UnknownNameError, WorkcellError
+from regrasp_opt.errors import HomeCollisionError, MeshError, PoseError, UnknownNameError, WorkcellError
 from regrasp_opt.files import report_outside
 from regrasp_opt.geometry.mesh_files import LARGEST_MESH, read_triangles, unlikely_size
 from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh, Shape
@@ -90,9 +91,31 @@ def as_obstacles(obstacles: Iterable[Shape | Mapping[str, Any]]) -> tuple[Shape,
     return tuple(
         _obstacle(validated(dict(each), ObstacleSection, f"obstacle {number}", WorkcellError), path)
         if isinstance(each, Mapping)
-        else each
+        else _sound(each, f"obstacle {number}")
         for number, each in enumerate(obstacles)
     )
+
+
+def _sound(shape: Shape, where: str) -> Shape:
+    """Return a shape that somebody made, with a rigid pose and sizes that a body can have.
+
+    Raises
+    ------
+    WorkcellError
+        If it is not such a shape.
+    """
+    if not isinstance(shape, (Box, Cylinder, Mesh)):
+        raise WorkcellError(f"{where} is a {type(shape).__name__}; give a Box, Cylinder or Mesh, or a dict of keys")
+    try:
+        pose = as_pose(shape.pose, f"pose of {where}")
+    except PoseError as error:
+        raise WorkcellError(str(error)) from error
+    if isinstance(shape, Mesh):
+        return _checked_mesh(replace(shape, pose=pose), f"{where}, mesh '{shape.name}',", 1.0)
+    lengths = np.asarray(shape.size if isinstance(shape, Box) else (shape.radius, shape.length), dtype=np.float64)
+    if lengths.shape != ((3,) if isinstance(shape, Box) else (2,)) or not (np.isfinite(lengths) & (lengths > 0)).all():
+        raise WorkcellError(f"{where}, '{shape.name}', has sizes {lengths.tolist()}; give lengths above 0 in metres")
+    return replace(shape, pose=pose)
 
 
 def _parse(path: Path, schema: type[File], what: str) -> File:
@@ -220,7 +243,16 @@ def _mesh(section: ObstacleSection, path: Path, pose: FloatArray) -> Mesh:
     except MeshError as error:
         raise WorkcellError(f"{where} cannot be read: {error}") from error
     scale = section.scale or 1.0
-    vertices = vertices * scale
+    return _checked_mesh(Mesh(section.name, vertices * scale, faces, pose), where, scale)
+
+
+def _checked_mesh(mesh: Mesh, where: str, scale: float) -> Mesh:
+    """Return `mesh`, which was scaled by `scale`, if it is sound and of a plausible size; say if it is not closed."""
+    vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
+    if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,) or not len(faces) or not np.isfinite(vertices).all():
+        raise WorkcellError(f"{where} needs finite vertices (V, 3) and at least one triangle (F, 3)")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise WorkcellError(f"{where} has triangles of vertices that it does not hold; make it again")
     wrong = unlikely_size(vertices[np.unique(faces)], LARGEST_MESH)
     if wrong is not None:
         raise WorkcellError(f"{where} {wrong[0]}; write scale = {scale * wrong[1]:g}")
@@ -228,4 +260,4 @@ def _mesh(section: ObstacleSection, path: Path, pose: FloatArray) -> Mesh:
         logger.warning(
             "%s is not closed: its surface is tested, but not what is inside; close it if it is solid", where
         )
-    return Mesh(section.name, vertices, faces, pose)
+    return replace(mesh, vertices=vertices, faces=faces)

@@ -8,7 +8,7 @@ import pytest
 from regrasp_opt import RegraspPlan, RegraspProblem, prepare, solve_sequence
 from regrasp_opt.conventions import translation
 from regrasp_opt.errors import OptionError, PlanFileError, PoseError, WorkcellError
-from regrasp_opt.geometry.shapes import Box, Cylinder
+from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh
 from regrasp_opt.motion import plan_motion
 from regrasp_opt.planning.tasks import random_task
 
@@ -112,3 +112,26 @@ def test_wrong_obstacles_are_refused(bottle_problem, wrong, said):
 def test_they_are_not_prepared_for(cluttered):
     with pytest.raises(OptionError, match="obstacle 'wall' was put in later and needs no training"):
         prepare(cluttered.object, cluttered.workcell)
+
+
+def turned(pose):
+    return np.diag([1.0, 1.0, -1.0, 1.0]) @ pose
+
+
+@pytest.mark.parametrize(
+    ("shape", "said"),
+    [
+        (Box("a", np.array([-0.1, 0.1, 0.1]), translation(0.4, 0.5, 0.4)), r"obstacle 0, 'a', has sizes \[-0.1"),
+        (Box("a", np.array([0.1, 0.1]), translation(0.4, 0.5, 0.4)), "give lengths above 0 in metres"),
+        (Cylinder("a", np.nan, 0.1, translation(0.4, 0.5, 0.4)), "give lengths above 0 in metres"),
+        (Cylinder("a", 0.1, 0.1, turned(translation(0.4, 0.5, 0.4))), "the pose of obstacle 0 is left-handed"),
+        (Cylinder("a", 0.1, 0.1, 2 * np.eye(4)), "the pose of obstacle 0 is not a rigid transform"),
+        (Mesh("a", np.zeros((0, 3)), np.zeros((0, 3), dtype=int), np.eye(4)), "at least one triangle"),
+        (Mesh("a", np.eye(3), np.array([[0, 1, 5]]), np.eye(4)), "triangles of vertices that it does not hold"),
+        (Mesh("a", 1e3 * np.eye(3), np.array([[0, 1, 2]]), np.eye(4)), "looks like millimetres"),
+        (7, "obstacle 0 is a int; give a Box, Cylinder or Mesh, or a dict of keys"),
+    ],
+)
+def test_shapes_that_no_body_can_have_are_refused(bottle_problem, shape, said):
+    with pytest.raises(WorkcellError, match=said):
+        bottle_problem.with_obstacles([shape])
