@@ -199,12 +199,15 @@ def damage_trial(folder, seed, kind, number):
 
 
 def trial(work):
-    logging.disable(logging.WARNING)  # files that a cell names elsewhere
     folder, seed, what, arguments = work
+    before = logging.root.manager.disable
+    logging.disable(logging.WARNING)  # files that a cell names elsewhere
     try:
         found = {"plan": plan_trial, "motion": motion_trial, "damage": damage_trial}[what](folder, seed, *arguments)
     except Exception as error:  # a trial that fails is a finding, too
         found = {"status": f"error: {type(error).__name__}: {error}"[:400]}
+    finally:
+        logging.disable(before)
     return {"trial": what, "arguments": list(arguments), **found}
 
 

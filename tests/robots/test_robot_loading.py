@@ -174,7 +174,7 @@ def test_arms_that_are_no_serial_chain_are_refused(write):
     assert "mimics" in refusal(write(mimic))
     assert "no moving joint" in refusal(write(arm_urdf([("fixed", "0 0 1", "0 0 0", "0 0 1", None)])))
     twice = "<joint name='x' type='fixed'><parent link='link0'/><child link='link2'/></joint>"
-    assert "two joints" in refusal(write(arm_urdf([JOINT, JOINT], extra=twice)))
+    assert "two parent joints" in refusal(write(arm_urdf([JOINT, JOINT], extra=twice)))
 
 
 def test_lengths_that_are_no_metres_are_refused(write):
