@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,10 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-DATA = Path(__file__).resolve().parents[2] / "regrasp_opt" / "data"
+# The data of the package under test, wherever it is installed; finding a package runs none of it.
+_PACKAGE = find_spec("regrasp_opt")
+assert _PACKAGE is not None and _PACKAGE.origin is not None, "regrasp_opt is not installed"
+DATA = Path(_PACKAGE.origin).parent / "data"
 TIPS = "tool0", "flange", "ee_link"
 MOVING = "revolute", "continuous", "prismatic"
 
