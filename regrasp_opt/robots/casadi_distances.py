@@ -38,21 +38,6 @@ def capsule_distance(a: Any, b: Any, radius_ab: Any, c: Any, d: Any, radius_cd: 
     return ca.sqrt(segment_squared_distance(a, b, c, d) + ROUNDING**2) - radius_ab - radius_cd
 
 
-def sphere_capsule_distance(center: Any, radius: Any, a: Any, b: Any, radius_ab: Any) -> Any:
-    """Return the distance [m] of a sphere to a capsule; negative where they overlap.
-
-    The sphere has its `center` (3,) and `radius`, the capsule goes from `a` to `b` (3,) with `radius_ab` [m].
-    """
-    return ca.sqrt(point_segment_squared_distance(center, a, b) + ROUNDING**2) - radius - radius_ab
-
-
-def point_segment_squared_distance(p: Any, a: Any, b: Any) -> Any:
-    """Return the squared distance [m^2] of `p` (3,) to the segment from `a` to `b` (3,), which may have no length."""
-    along = b - a
-    t = _clamp(ca.dot(p - a, along) / (ca.dot(along, along) + _PARALLEL))
-    return ca.sumsqr(p - a - t * along)
-
-
 def segment_squared_distance(a: Any, b: Any, c: Any, d: Any) -> Any:
     """Return the squared distance [m^2] of the segments from `a` to `b` and from `c` to `d` (3,)."""
     u, v, w = b - a, d - c, a - c
