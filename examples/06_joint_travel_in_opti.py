@@ -45,7 +45,7 @@ def shortened(
         num_poses=1,
         start=exact_energy(problem.feasible_grasps(plan.poses[0])),
         goal=exact_energy(problem.feasible_grasps(plan.poses[-1])),
-        blocked=problem.table_rule(plan.placements, plan.xi),
+        blocked=problem.ruled_out(plan.placements, plan.xi),
     ).J_seq
 
     opti = ca.Opti()

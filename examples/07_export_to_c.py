@@ -22,7 +22,7 @@ def write_code(plan: RegraspPlan) -> None:
         start=ends[0],
         goal=ends[1],
         placements=plan.placements,
-        blocked=problem.table_rule(plan.placements, plan.xi),
+        blocked=problem.ruled_out(plan.placements, plan.xi),
         blas="reference",
     ).J_seq
     xi = ca.MX.sym("xi", 1, 3)

@@ -151,9 +151,7 @@ class _Landscape:
         self.model, self.network = model, TorchNetwork()
         self.center = tensor([*(low + high) / 2, 0.0])
         self.scale = tensor([*(high - low) / 2, np.pi])
-        rule = objective.table_rule
-        self.point = None if rule is None else tensor(rule.point[:, ids])
-        self.table = None if rule is None else tensor(rule.table)
+        self.rule, self.ids = objective.rule, ids
         self.ends = tensor(np.stack([objective.start_energy[ids], objective.goal_energy[ids]]))
         planar = [energy.planar_layer(T_p, ids) for T_p in objective.placements]
         rows = [part for layer in planar for part in (layer.constant, layer.cosine, layer.sine)]
@@ -193,18 +191,7 @@ class _Landscape:
         z = torch.cat([own, xi[..., :2]], dim=-1) @ self.first
         z = z.unflatten(-1, (self.grasps, -1))
         learned = evaluate(self.network, self.layers, self.model.activation, self.model.bounded, z)[..., 0]
-        if self.point is None or self.table is None:
+        if self.rule is None:
             return learned
-        return torch.where(self._ruled_out(placements, xi), BLOCKED, learned)
-
-    def _ruled_out(self, placements: torch.Tensor, xi: torch.Tensor) -> torch.Tensor:
-        """Return what `TableRule` does, (B, N, A)."""
-        import torch
-
-        assert self.point is not None and self.table is not None
-        point = self.point[placements]
-        c, s = torch.cos(xi[..., 2:]), torch.sin(xi[..., 2:])
-        x = xi[..., :1] + c * point[..., 0] - s * point[..., 1]
-        y = xi[..., 1:2] + s * point[..., 0] + c * point[..., 1]
-        (x_low, y_low), (x_high, y_high) = self.table
-        return (x > x_low) & (x < x_high) & (y > y_low) & (y < y_high)
+        ruled_out = self.rule(placements.cpu().numpy(), xi.detach().cpu().numpy().astype(np.float64))[..., self.ids]
+        return torch.where(torch.as_tensor(ruled_out, device=learned.device), BLOCKED, learned)

@@ -11,20 +11,18 @@ ranked by the negative log of that, which does not let an abundant pair make up 
 
 from __future__ import annotations
 
-import contextlib
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from pathlib import Path
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from regrasp_opt.connectivity import SequenceObjective, TableRule, block, sequence_cost
-from regrasp_opt.conventions import FloatArray, IntArray, planar_transform
+from regrasp_opt.connectivity import BLOCKED, Rule, SequenceObjective, block, sequence_cost
+from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
 from regrasp_opt.energy.model import GraspEnergy
-from regrasp_opt.files import UNREADABLE_ARRAYS, atomic_path, content_hash
 from regrasp_opt.solvers.base import Candidates, Refinement
 
 SPACING = 0.06
@@ -41,20 +39,55 @@ LEAST_CHANCE = 1e-5
 Of lattice chains that hold, the least had 1e-3; where a number of regrasps cannot work, all have a pair at about 1e-9.
 """
 _WORKERS = 2
+_GRASPS = 50
+"""Grasps that are evaluated at once at a placement and yaw, so that a layer stays in the cache."""
+_HOPELESS = 10.0
+"""Energy above which a grasp need not be asked about: with all others, it would be worth 1e-4 grasps at most."""
+
+
+PromiseRule = Callable[[IntArray, FloatArray, BoolArray], BoolArray]
+"""Returns which of the candidates (B, G) are ruled out at `placements` (B,) and `xi` (B, 3)."""
 
 
 @dataclass(frozen=True, eq=False)
 class PoseLattice:
-    """L poses: ``placements`` (L,), ``xi`` (L, 3) and their energies (L, G) in single precision."""
+    """L poses: ``placements`` (L,), ``xi`` (L, 3) and their energies (L, G) in single precision.
+
+    A `rule` that costs more than an energy is not asked about all of them, but when a pose is about to be used, about
+    its grasps with any promise (`settle`).
+    """
 
     placements: IntArray
     xi: FloatArray
     energies: NDArray[np.float32]
+    rule: PromiseRule | None = None
+    _likelihoods: dict[float, NDArray[np.float32]] = field(default_factory=dict)
 
-    @lru_cache(maxsize=2)  # noqa: B019 (a lattice lives as long as its problem)
     def likelihoods(self, alpha: float) -> NDArray[np.float32]:
         """Return ``P = exp(-E / alpha)`` (L, G)."""
-        return np.exp(-self.energies / np.float32(alpha))
+        if alpha not in self._likelihoods:
+            self._likelihoods[alpha] = np.exp(-self.energies / np.float32(alpha))
+        return self._likelihoods[alpha]
+
+    def under(self, rule: PromiseRule) -> PoseLattice:
+        """Return a lattice with the same energies that asks `rule`, too."""
+        known = {alpha: P.copy() for alpha, P in self._likelihoods.items()}
+        return PoseLattice(self.placements, self.xi, self.energies.copy(), rule, known)
+
+    @cached_property
+    def _settled(self) -> BoolArray:
+        return np.zeros(len(self.energies), dtype=bool)
+
+    def settle(self, poses: IntArray) -> None:
+        """Block what the rule rules out at the `poses` of these numbers, where that was not asked yet."""
+        if self.rule is None:
+            return
+        asked = np.unique(poses[~self._settled[poses]])
+        self._settled[asked] = True
+        ruled_out = self.rule(self.placements[asked], self.xi[asked], self.energies[asked] < _HOPELESS)
+        self.energies[asked] = block(self.energies[asked], ruled_out)
+        for alpha, P in self._likelihoods.items():
+            P[asked] = np.exp(-self.energies[asked] / np.float32(alpha))
 
     @cached_property
     def cells(self) -> IntArray:
@@ -64,46 +97,34 @@ class PoseLattice:
         return np.unique(np.column_stack([self.placements, x, y, quarter]), axis=0, return_inverse=True)[1]
 
     @staticmethod
-    def build(
-        energy: GraspEnergy,
-        placements: FloatArray,
-        bounds: FloatArray,
-        cache: Path | None = None,
-        table_rule: TableRule | None = None,
-    ) -> PoseLattice:
+    def build(energy: GraspEnergy, placements: FloatArray, bounds: FloatArray, rule: Rule | None = None) -> PoseLattice:
         """Evaluate `energy` on the lattice over `bounds` (2, 2) and `placements` (S, 4, 4).
 
-        Parameters
-        ----------
-        cache : Path, optional
-            Folder in which the energies are kept, under a hash of all they depend on. A file that cannot be read is
-            made again.
-        table_rule : TableRule, optional
-            Grasps that it rules out are blocked.
+        Grasps that `rule` rules out are `BLOCKED`; where it does so at all positions of a placement and yaw, the energy
+        is not evaluated.
         """
         numbers, xi = lattice_poses(len(placements), bounds)
-        energies = _learned(energy, placements, numbers, xi, cache)
-        return PoseLattice(numbers, xi, energies if table_rule is None else block(energies, table_rule(numbers, xi)))
+        ruled_out = np.zeros((len(xi), len(energy)), dtype=bool) if rule is None else rule(numbers, xi)
+        shape = len(placements), -1, YAWS
+        energies = np.full(ruled_out.shape, BLOCKED, dtype=np.float32)
+        grid, closed = energies.reshape(*shape, len(energy)), ruled_out.reshape(*shape, len(energy))
+        xy, yaws = xi.reshape(*shape, 3)[0, :, 0, :2], xi[:YAWS, 2]
 
+        def evaluate(number: int) -> None:
+            layer = energy.planar_layer(placements[number])
+            shift = (xy @ np.hstack([layer.dx, layer.dy]).T).astype(np.float32)  # (P, H)
+            for k, yaw in enumerate(yaws):
+                kept = np.flatnonzero(~closed[number, :, k].all(axis=0))
+                turned = layer.constant + np.cos(yaw) * layer.cosine + np.sin(yaw) * layer.sine  # (H, G)
+                for first in range(0, len(kept), _GRASPS):
+                    part = kept[first : first + _GRASPS]
+                    z = turned[:, part].T.astype(np.float32) + shift[:, None]  # (P, g, H)
+                    found = energy.after_first_layer(z.reshape(-1, z.shape[2]))
+                    grid[number, :, k, part] = found.reshape(len(xy), -1).T
 
-def _learned(
-    energy: GraspEnergy, placements: FloatArray, numbers: IntArray, xi: FloatArray, cache: Path | None
-) -> NDArray[np.float32]:
-    """Return the learned energies (L, G) of the lattice poses, from the cache if they are there."""
-    path = None
-    if cache is not None:
-        path = cache / f"{content_hash(energy.fingerprint(), placements, xi)[:32]}.npy"
-        stored = _read(path, (len(xi), len(energy)))
-        if stored is not None:
-            return stored
-    T = planar_transform(xi) @ placements[numbers]
-    with ThreadPoolExecutor(_WORKERS) as pool:
-        blocks = list(pool.map(lambda part: energy(part, np.float32), np.array_split(T, 8 * _WORKERS)))
-    energies = np.concatenate(blocks)
-    if path is not None:
-        with contextlib.suppress(OSError), atomic_path(path) as temporary, temporary.open("wb") as file:
-            np.save(file, energies, allow_pickle=False)  # only a cache: a folder that cannot be written is not an error
-    return energies
+        with ThreadPoolExecutor(_WORKERS) as pool:
+            list(pool.map(evaluate, range(len(placements))))
+        return PoseLattice(numbers, xi, block(energies, ruled_out))
 
 
 def lattice_poses(num_placements: int, bounds: FloatArray) -> tuple[IntArray, FloatArray]:
@@ -118,15 +139,6 @@ def lattice_poses(num_placements: int, bounds: FloatArray) -> tuple[IntArray, Fl
 def _centred(low: float, high: float) -> FloatArray:
     half = int((high - low) / SPACING) * SPACING / 2
     return (low + high) / 2 + np.linspace(-half, half, round(2 * half / SPACING) + 1)
-
-
-def _read(path: Path, shape: tuple[int, int]) -> NDArray[np.float32] | None:
-    try:
-        stored = np.load(path, allow_pickle=False)
-    except UNREADABLE_ARRAYS:
-        return None
-    good = stored.shape == shape and stored.dtype == np.float32 and bool(np.isfinite(stored).all())
-    return stored if good else None
 
 
 def shared_cost(mass: Any) -> Any:
@@ -155,13 +167,25 @@ def lattice_starts(
         chains, cost = _chains(P, from_start, to_goal, num_regrasps, rng)
     order = np.argsort(cost, kind="stable")[:RANKED]
     ranked = chains[order]
-    chosen = ranked[_different(lattice.cells[ranked], count)]
-    energies = objective.chain(lattice.energies[chosen].astype(np.float64))
+    ranked = ranked[_different(lattice.cells[ranked])]
+    found, first = ranked[:0], 0
+    while len(found) < count and first < len(ranked):
+        portion = _worth(lattice, objective, ranked[first : first + max(count, first)])
+        first += max(count, first)
+        if lattice.rule is not None:
+            lattice.settle(portion)
+            portion = _worth(lattice, objective, portion)
+        found = np.concatenate([found, portion])
+    found = found[:count]
+    energies = objective.chain(lattice.energies[found].astype(np.float64))
+    return Candidates(lattice.placements[found], lattice.xi[found], sequence_cost(energies, objective.options))
+
+
+def _worth(lattice: PoseLattice, objective: SequenceObjective, chains: IntArray) -> IntArray:
+    """Return those of the `chains` (C, N) none of whose pairs is below the `LEAST_CHANCE`."""
+    energies = objective.chain(lattice.energies[chains])
     shared = np.exp(-(energies[:, :-1] + energies[:, 1:])).sum(axis=2)
-    worth = (shared_cost(shared) < -np.log(LEAST_CHANCE)).all(axis=1)
-    chosen = chosen[worth]
-    cost = sequence_cost(energies[worth], objective.options)
-    return Candidates(lattice.placements[chosen], lattice.xi[chosen], cost)
+    return chains[(shared_cost(shared) < -np.log(LEAST_CHANCE)).all(axis=1)]
 
 
 def _chains(
@@ -196,11 +220,11 @@ def _layer(cost: NDArray[Any], rng: np.random.Generator) -> IntArray:
     return np.concatenate([reachable[:head], rest])
 
 
-def _different(cells: IntArray, count: int) -> IntArray:
-    """Return up to `count` positions in a ranking of chains: the best chain of each coarse cell (C, N) first."""
+def _different(cells: IntArray) -> IntArray:
+    """Return the positions in a ranking of chains such that the best chain of each coarse cell (C, N) comes first."""
     first = np.sort(np.unique(cells, axis=0, return_index=True)[1])
     rest = np.setdiff1d(np.arange(len(cells)), first)
-    return np.concatenate([first, rest])[:count]
+    return np.concatenate([first, rest])
 
 
 @dataclass(frozen=True)

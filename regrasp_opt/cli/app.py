@@ -48,7 +48,7 @@ EffectorOption = Annotated[
     str | None,
     typer.Option("--end-effector", help="Replace the workcell's end-effector.", autocompletion=stored("end_effectors")),
 ]
-ModelOption = Annotated[Path | None, typer.Option(help="Folder of a prepared model.")]
+ModelOption = Annotated[Path | None, typer.Option(help="Energy of the arm, or folder of a prepared object.")]
 ScaleOption = Annotated[float, typer.Option(help="Metres per unit of the mesh file, e.g. 0.001.")]
 RepairOption = Annotated[bool, typer.Option("--repair", help="Repair the mesh where that is safe.")]
 SeedOption = Annotated[int, typer.Option(help="Random seed; the same seed gives the same result.")]
@@ -125,7 +125,7 @@ def plan(
     refiner: Annotated[
         str,
         typer.Option(
-            help="ipopt, lattice, langevin, langevin-ipopt, paper, or exact, which needs no prepared model.",
+            help="ipopt, lattice, langevin, langevin-ipopt, paper, or exact, which needs no energy.",
             autocompletion=names(REFINERS),
         ),
     ] = "ipopt",
@@ -165,33 +165,47 @@ def plan(
 
 @app.command()
 def prepare(
-    object: Annotated[
-        str, typer.Argument(metavar="OBJECT", help="Built-in object or a mesh file.", autocompletion=names(OBJECTS))
+    workcell: Annotated[
+        str,
+        typer.Argument(
+            metavar="WORKCELL", help="Built-in workcell or a TOML file.", autocompletion=stored("workcells")
+        ),
     ],
-    workcell: WorkcellOption = "nova2-w",
+    object: Annotated[
+        str | None,
+        typer.Option("--object", help="Train an energy of this object instead.", autocompletion=names(OBJECTS)),
+    ] = None,
     end_effector: EffectorOption = None,
-    samples: Annotated[int, typer.Option(help="Feasible (pose, grasp) pairs to train on.")] = 20_000,
-    grasps: Annotated[int, typer.Option(help="Candidate grasps.")] = 200,
+    poses: Annotated[int | None, typer.Option(help="Tool poses to train the arm's energy on.")] = None,
+    samples: Annotated[int, typer.Option(help="Feasible (pose, grasp) pairs to train an object's on.")] = 20_000,
+    grasps: Annotated[int, typer.Option(help="Candidate grasps of the object.")] = 200,
     seed: SeedOption = 0,
     jobs: Annotated[int, typer.Option(help="Worker processes; -1 uses all cores.")] = -1,
     scale: ScaleOption = 1.0,
     repair: RepairOption = False,
-    out: Annotated[Path | None, typer.Option(help="Folder of the model; by default your data folder.")] = None,
+    out: Annotated[Path | None, typer.Option(help="File (or folder, of an object's model) to write.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the report as one JSON object.")] = False,
 ) -> int:
-    """Prepare an object for planning: sample grasps, label poses, train and calibrate. An interrupted run resumes.
+    """Train the energy of a workcell's arm, for any object. 'plan' does it by itself where none is there.
 
-    Example:
+    With --object, train an energy of one object in this workcell, as in the paper; an interrupted run resumes.
 
-    regrasp-opt prepare part.stl --workcell nova2-w
+    For example:
+
+    regrasp-opt prepare my-cell.toml
+
+    regrasp-opt prepare nova2-w --object part.stl
     """
-    interrupts.resumable()
-    from regrasp_opt.cli.prepare import run_prepare
+    from regrasp_opt.cli.prepare import run_prepare, run_prepare_object
     from regrasp_opt.objects import load_object
     from regrasp_opt.scene import load_workcell
 
-    subject = load_object(object, scale=scale, repair=repair), load_workcell(workcell, end_effector=end_effector)
-    return run_prepare(*subject, json, samples=samples, num_grasps=grasps, out=out, seed=seed, jobs=jobs)
+    cell = load_workcell(workcell, end_effector=end_effector)
+    if object is None:
+        return run_prepare(cell, json, poses=poses, out=out, seed=seed, jobs=jobs)
+    interrupts.resumable()
+    body = load_object(object, scale=scale, repair=repair)
+    return run_prepare_object(body, cell, json, samples=samples, num_grasps=grasps, out=out, seed=seed, jobs=jobs)
 
 
 @app.command()

@@ -12,11 +12,14 @@ from rich.markup import escape
 from rich.table import Table
 
 from regrasp_opt.cli.output import make_console, working
+from regrasp_opt.cli.prepare import progress_bars
 from regrasp_opt.conventions import as_seed
 from regrasp_opt.errors import RegraspError
 from regrasp_opt.planning import RegraspPlan, RegraspProblem, solve_sequence
+from regrasp_opt.planning.arm_energy import train_arm_energy
 from regrasp_opt.planning.plan_file import plan_summary
 from regrasp_opt.planning.pose_text import describe_pose, parse_pose
+from regrasp_opt.planning.recipes import EXACT
 from regrasp_opt.planning.tasks import Task, random_task
 
 logger = logging.getLogger(__name__)
@@ -33,9 +36,11 @@ def run_plan(
     as_json: bool,
 ) -> int:
     """Plan with the options `search` of `solve_sequence`, print and save; return 0 if solved, else 1."""
-    logger.info(
-        "%d grasps, %d placements, model %s", len(problem.grasps), len(problem.placements), problem.model_folder
-    )
+    if search["refiner"] != EXACT and problem.energy_file is None:
+        with progress_bars() as show:
+            train_arm_energy(problem.workcell, progress=show)
+    energy = problem.energy_file
+    logger.info("%d grasps, %d placements, energy %s", len(problem.grasps), len(problem.placements), energy)
     with working(f"planning up to {search['max_regrasps']} regrasp(s)", search["time_limit"]):
         task = _task(problem, start, goal, search["seed"])
         plan = solve_sequence(problem, task.start, task.goal, **search)

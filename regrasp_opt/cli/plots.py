@@ -25,10 +25,10 @@ def write_plan_plots(plan: RegraspPlan, trace: CandidateTrace | None, folder: Pa
     Raises
     ------
     OptionError
-        If matplotlib or the prepared model is missing, or the plan has no intermediate pose.
+        If matplotlib or the energy is missing, or the plan has no intermediate pose.
     """
     if not has_energy(plan):
-        raise OptionError("the plots show the cost, which needs a prepared model; run 'regrasp-opt prepare' first")
+        raise OptionError("the plots show the cost, which needs an energy; run 'regrasp-opt prepare WORKCELL' first")
     if plan.num_regrasps == 0 and trace is None:
         raise OptionError("the plan has no intermediate pose whose cost could be plotted")
     return _write(_of_plan(plan, trace), folder)

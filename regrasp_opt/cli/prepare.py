@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import logging
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from rich.markup import escape
@@ -12,14 +14,16 @@ from rich.table import Table
 
 from regrasp_opt.cli.output import make_console
 from regrasp_opt.objects import ObjectModel
+from regrasp_opt.planning.arm_energy import train_arm_energy
 from regrasp_opt.planning.prepare import prepare
 from regrasp_opt.scene import Workcell
 
 logger = logging.getLogger(__name__)
 
 
-def run_prepare(model: ObjectModel, workcell: Workcell, as_json: bool, **options: Any) -> int:
-    """Prepare a model with the `options` of `prepare`, with progress on a terminal; return 0."""
+@contextmanager
+def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
+    """Yield a function that shows (what is being done, done, to do) as bars, on a terminal."""
     errors = make_console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=errors, disable=not errors.is_terminal, transient=True) as bar:
@@ -30,6 +34,31 @@ def run_prepare(model: ObjectModel, workcell: Workcell, as_json: bool, **options
                 rows[what] = int(bar.add_task(what, total=total))
             bar.update(rows[what], completed=done, total=total)  # type: ignore[arg-type]
 
+        yield show
+
+
+def run_prepare(workcell: Workcell, as_json: bool, **options: Any) -> int:
+    """Train the energy of an arm with the `options` of `train_arm_energy`, with progress on a terminal; return 0."""
+    with progress_bars() as show:
+        path, card = train_arm_energy(workcell, progress=show, **options)
+    logger.info("seconds: %s", {name: round(seconds, 2) for name, seconds in card["times"].items()})
+    if as_json:
+        print(json.dumps({"path": str(path), **card}))
+        return 0
+    console = make_console()
+    console.print(
+        f"[bold green]prepared[/] {escape(card['robot'])} with {escape(card['end_effector'])}: "
+        f"{card['feasible_poses']} feasible of {card['poses']} tool poses"
+    )
+    unseen = ", ".join(f"{escape(name)} {value:.3f}" for name, value in card["unseen"].items())
+    console.print(f"average precision on objects that it never saw: {unseen or 'the tool holds no built-in object'}")
+    console.print(f"written: {path}", markup=False, soft_wrap=True)
+    return 0
+
+
+def run_prepare_object(model: ObjectModel, workcell: Workcell, as_json: bool, **options: Any) -> int:
+    """Prepare a model of an object with the `options` of `prepare`, with progress on a terminal; return 0."""
+    with progress_bars() as show:
         folder, report = prepare(model, workcell, progress=show, **options)
     logger.info("seconds: %s", {name: round(seconds, 2) for name, seconds in report["times"].items()})
     if as_json:

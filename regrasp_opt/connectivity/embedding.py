@@ -64,7 +64,7 @@ class ProblemEnergy(GraspEnergy):
             Which grasps may be used. "input" makes it an input ``mask`` (G, 1) of ones and zeros, the last one of
             ``Q_pair`` and ``J_seq``, which are not differentiable in it; a zero adds `BLOCKED` to every pair's energy.
         blocked : (N, G) bool, optional
-            Grasps known to be infeasible at each intermediate pose, as `RegraspProblem.table_rule` says; they have
+            Grasps known to be infeasible at each intermediate pose, as `RegraspProblem.ruled_out` says; they have
             the energy `BLOCKED` there.
         options : CostOptions, optional
             The paper's by default.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +12,9 @@ from numpy.typing import DTypeLike, NDArray
 from regrasp_opt.connectivity.costs import CostOptions, sequence_cost
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, planar_transform
 from regrasp_opt.energy.model import GraspEnergy
+
+Rule = Callable[[IntArray, FloatArray], BoolArray]
+"""Returns which grasps (..., G) are known to be infeasible at `placements` (...) and `xi` (..., 3)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +61,8 @@ class SequenceObjective:
     bounds : (2, 2)
         ``[[x_low, y_low], [x_high, y_high]]`` of intermediate poses [m].
     options : CostOptions
-    table_rule : TableRule, optional
-        Grasps that it rules out count as `BLOCKED`.
+    rule : callable, optional
+        A `Rule`; grasps that it rules out count as `BLOCKED`.
     """
 
     energy: GraspEnergy
@@ -67,7 +71,7 @@ class SequenceObjective:
     goal_energy: FloatArray
     bounds: FloatArray
     options: CostOptions
-    table_rule: TableRule | None = None
+    rule: Rule | None = None
 
     def poses(self, placements: IntArray, xi: FloatArray) -> FloatArray:
         """Return object poses (..., 4, 4) of numbers `placements` (...) and planar parameters `xi` (..., 3) (Eq. 6)."""
@@ -82,10 +86,10 @@ class SequenceObjective:
         return block(self.energy(self.poses(placements, xi), dtype), self.ruled_out(placements, xi))
 
     def ruled_out(self, placements: IntArray, xi: FloatArray) -> BoolArray:
-        """Return which grasps (..., G) the table rules out at intermediate poses: `placements` (...), `xi` (..., 3)."""
-        if self.table_rule is None:
+        """Return which grasps (..., G) are ruled out at intermediate poses: `placements` (...) and `xi` (..., 3)."""
+        if self.rule is None:
             return np.zeros((*np.shape(placements), len(self.energy)), dtype=bool)
-        return self.table_rule(placements, xi)
+        return self.rule(placements, xi)
 
     def useful_grasps(self, num_regrasps: int) -> IntArray:
         """Return the grasps (A,) that matter for sequences of `num_regrasps` intermediate poses.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -10,7 +11,7 @@ from scipy.special import expit
 from scipy.stats import rankdata
 
 from regrasp_opt.conventions import BoolArray, FloatArray
-from regrasp_opt.energy.model import EnergyModel, GraspEnergy
+from regrasp_opt.energy.model import EnergyModel
 from regrasp_opt.errors import ModelError
 
 _PAIRS = 500
@@ -74,28 +75,29 @@ def best_threshold(energy: FloatArray, positive: BoolArray) -> BestThreshold:
     return BestThreshold(float((energy[order[best]] + upper) / 2), float(f1[best]))
 
 
-def calibrate(
-    model: EnergyModel, energy: GraspEnergy, T: FloatArray, feasible: BoolArray, seed: int = 0
-) -> EnergyModel:
-    """Return `model` with `h` set and its held-out metrics recorded.
+class HeldOut(NamedTuple):
+    """Energies (B, G) of all grasps of an object at B poses that training has not seen, and their feasibility."""
 
-    Parameters
-    ----------
-    energy : GraspEnergy
-        `model` on the grasps of the labels.
-    T, feasible
-        Held-out poses (B, 4, 4) and the feasibility (B, G) of every grasp.
+    energies: FloatArray
+    feasible: BoolArray
+
+
+def calibrate(model: EnergyModel, objects: Sequence[HeldOut], seed: int = 0) -> EnergyModel:
+    """Return `model` with `h` set and its metrics on held-out poses of one or more objects recorded.
 
     Notes
     -----
     `h` maximises F1 of telling shared from other grasps over random pairs of the held-out poses (appendix A).
     """
-    energies = energy(T)
     rng = np.random.default_rng(seed)
-    a, b = (rng.integers(len(T), size=_PAIRS) for _ in range(2))
-    shared = best_threshold((energies[a] + energies[b]).ravel(), (feasible[a] & feasible[b]).ravel())
-    single = best_threshold(energies.ravel(), feasible.ravel())
-    flat, positive = energies.ravel(), feasible.ravel()
+    sums, both = [], []
+    for energies, feasible in objects:
+        a, b = (rng.integers(len(energies), size=_PAIRS) for _ in range(2))
+        sums.append((energies[a] + energies[b]).ravel())
+        both.append((feasible[a] & feasible[b]).ravel())
+    shared = best_threshold(np.concatenate(sums), np.concatenate(both))
+    flat, positive = (np.concatenate([part.ravel() for part in parts]) for parts in zip(*objects, strict=True))
+    single = best_threshold(flat, positive)
     metrics = {
         "average_precision": average_precision(flat, positive),
         "auroc": area_under_roc(flat, positive),
@@ -103,7 +105,7 @@ def calibrate(
         "f1": single.f1,
         "threshold": single.threshold,
         "shared_f1": shared.f1,
-        "feasible_share": float(feasible.mean()),
-        "poses": len(T),
+        "feasible_share": float(positive.mean()),
+        "poses": sum(len(each.feasible) for each in objects),
     }
     return replace(model, threshold=shared.threshold, metadata={**model.metadata, "held_out": metrics})

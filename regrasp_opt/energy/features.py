@@ -3,6 +3,7 @@
 ``paper``: the object pose ``T`` and the grasp ``g`` (Section III-A of the paper).
 ``tcp``: the same and the world pose of the tool, ``T @ g``. It is a function of the other two that the network
 would otherwise have to learn, and it is affine in the entries of ``T``, so the first layer stays affine as well.
+``arm``: the pose of the tool alone. Such an energy knows no object, so it serves every one.
 
 A transform enters as its upper three rows, row by row (12 numbers), a grasp as its transform and, where wanted, its
 jaw width in metres. Standardisation is folded into the first layer after training, so models take raw features.
@@ -19,9 +20,13 @@ import numpy as np
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.grasps import GraspSet
 
-FeatureSet = Literal["paper", "tcp"]
+FeatureSet = Literal["paper", "tcp", "arm"]
 
-BLOCKS: dict[FeatureSet, tuple[str, ...]] = {"paper": ("pose", "grasp"), "tcp": ("pose", "grasp", "tcp")}
+BLOCKS: dict[FeatureSet, tuple[str, ...]] = {
+    "paper": ("pose", "grasp"),
+    "tcp": ("pose", "grasp", "tcp"),
+    "arm": ("tcp",),
+}
 """The transforms that each feature set sees, in the order of the inputs; the jaw width comes last."""
 
 FEATURE_SETS: tuple[FeatureSet, ...] = tuple(BLOCKS)

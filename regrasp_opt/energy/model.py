@@ -8,7 +8,7 @@ preset uses ``f`` itself.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -65,6 +65,16 @@ class EnergyModel:
     def hidden(self) -> int:
         """Width of the hidden layers."""
         return int(self.weights[0].shape[0])
+
+    def seen_from(self, T_base_world: FloatArray) -> EnergyModel:
+        """Return this energy of tool poses in the base's frame as one of tool poses in the world."""
+        if np.array_equal(T_base_world, np.eye(4)):
+            return self
+        W, tcp = self.weights[0].astype(np.float64), self.input_weights.tcp
+        W[:, :12] = np.einsum("ij,ihk->hjk", T_base_world[:3, :3], tcp).reshape(-1, 12)
+        b = self.biases[0] + np.einsum("i,ih->h", T_base_world[:3, 3], tcp[:, :, 3])
+        weights, biases = (W.astype(np.float32), *self.weights[1:]), (b.astype(np.float32), *self.biases[1:])
+        return replace(self, weights=weights, biases=biases)
 
     def fingerprint(self) -> str:
         """Return a hash of everything that the energy's value depends on."""
@@ -175,9 +185,15 @@ class GraspEnergy:
             tcp = tcp.transpose(0, 2, 1, 3).reshape(len(T), len(self), 12)
             weights = first.tcp.transpose(1, 0, 2).reshape(-1, 12).T.astype(dtype)
             z = z + (tcp.reshape(-1, 12) @ weights).reshape(z.shape)
-        z = z.reshape(-1, z.shape[-1])  # one large product is far cheaper than many small ones
+        return self.after_first_layer(z.reshape(-1, z.shape[-1])).reshape(len(T), len(self))
+
+    def after_first_layer(self, z: NDArray[Any]) -> NDArray[Any]:
+        """Return the energies (M,) where the first layer's pre-activation is `z` (M, H), in its precision.
+
+        One large product is far cheaper than many small ones.
+        """
         model = self.model
-        return evaluate(_NumPy(), model.layers, model.activation, model.bounded, z).reshape(len(T), len(self))
+        return evaluate(_NumPy(), model.layers, model.activation, model.bounded, z)[:, 0]
 
 
 class _NumPy:

@@ -35,6 +35,18 @@ class Branches(NamedTuple):
     pair: IntArray
 
 
+class Ball(NamedTuple):
+    """A ball around the object, in the object's frame [m]."""
+
+    middle: FloatArray
+    radius: float
+
+
+class _Object(NamedTuple):
+    vertices: FloatArray
+    solid: Solid
+
+
 class _Still:
     """A body that stands still, as a Coal collision object in the world, and what to call it."""
 
@@ -51,7 +63,8 @@ class FeasibilityChecker:
 
     Parameters
     ----------
-    model : ObjectModel
+    model : ObjectModel or None
+        None: tool poses alone are checked, as grasps of an object that is not there.
     workcell : Workcell
     grasps : GraspSet
         G grasps; their numbers are the grasp ids of plans.
@@ -62,17 +75,16 @@ class FeasibilityChecker:
         If `grasps` is empty.
     """
 
-    def __init__(self, model: ObjectModel, workcell: Workcell, grasps: GraspSet) -> None:
+    def __init__(self, model: ObjectModel | None, workcell: Workcell, grasps: GraspSet) -> None:
         if len(grasps) == 0:
             raise GraspError("the grasp set is empty; sample or load at least one grasp")
         self.workcell = workcell
         self.grasps = grasps
         self._lock = threading.RLock()  # the scene is arranged for one pose and grasp at a time
-        self._vertices = model.vertices
         self.world = world = CollisionWorld(workcell, model)
         self.scene = CollisionScene(world, grasps)
         effector = workcell.arm.end_effector
-        self._object = Solid(world.bodies[world.object].geometry)
+        self._object = None if model is None else _Object(model.vertices, Solid(world.bodies[world.object].geometry))
         self._still = [_Still(world, i) for _, i, _ in world.pairs(ContactPhase.REST)]
         self._T_object_flange = grasps.T_object_tcp @ effector.T_tcp_flange
         self._corners = np.stack(
@@ -153,38 +165,52 @@ class FeasibilityChecker:
             self._arrange(T, grasp_id)
             return self.scene.collisions(q)
 
+    @property
+    def object_ball(self) -> Ball:
+        """A ball around the object."""
+        assert self._object is not None
+        solid = self._object.solid
+        return Ball(solid.box.mean(axis=0), solid.radius)
+
     def object_collides(self, T: FloatArray) -> bool:
         """Return whether the object at `T` (4, 4) is too near to something fixed, in the table or over its edge."""
         return self.object_problem(T) is not None
 
     def object_problem(self, T: FloatArray) -> str | None:
         """Return what the object at `T` (4, 4) does that it must not, or None."""
-        problem = standing_problem(self._vertices @ T[:3, :3].T + T[:3, 3], self.workcell.table)
+        if self._object is None:
+            return None
+        problem = standing_problem(self._object.vertices @ T[:3, :3].T + T[:3, 3], self.workcell.table)
         near = None if problem else self.object_overlaps(T, self.workcell.clearance.gripper)
         return problem if near is None else f"is too near to {near}"
 
     def object_overlaps(self, T: FloatArray, clearance: float) -> str | None:
         """Return what obstacle or base is around the object at `T` (4, 4) or nearer than `clearance` [m], or None."""
-        body = coal.CollisionObject(self._object.geometry, coal.Transform3s(T[:3, :3], T[:3, 3]))
+        if self._object is None:
+            return None
+        solid = self._object.solid
+        body = coal.CollisionObject(solid.geometry, coal.Transform3s(T[:3, :3], T[:3, 3]))
         request = coal.CollisionRequest()
         request.security_margin = clearance
         for still in self._still:
             if coal.collide(body, still.item, request, coal.CollisionResult()) or (
-                body.getAABB().overlap(still.item.getAABB())
-                and nested(self._object, still.solid, invert(T) @ still.pose)
+                body.getAABB().overlap(still.item.getAABB()) and nested(solid, still.solid, invert(T) @ still.pose)
             ):
                 return still.label
         return None
 
     def _blocked(self, T: FloatArray) -> BoolArray:
         """Return where the object itself collides (M,), for poses `T` (M, 4, 4) of which neighbours are often equal."""
+        if self._object is None:
+            return np.zeros(len(T), dtype=bool)
         changes = np.ones(len(T), dtype=bool)
         changes[1:] = (T[1:] != T[:-1]).any(axis=(1, 2))
         blocked = np.array([self.object_collides(pose) for pose in T[changes]], dtype=bool)
         return blocked[np.cumsum(changes) - 1]
 
     def _arrange(self, T: FloatArray, grasp_id: int) -> None:
-        self.scene.place_object(T)
+        if self._object is not None:
+            self.scene.place_object(T)
         self.scene.set_grasp(grasp_id)
 
     def branches(self, T: FloatArray, grasp_ids: IntArray) -> Branches:

@@ -19,8 +19,7 @@ FORMAT = 1
 class ModelKey:
     """A hash of each part of a scene that decides which grasps are feasible, and `id`, one of all.
 
-    An energy belongs to its arm (`robot`, `mounting`, `end_effector`): what it says of another is meaningless. The
-    other parts say in which scene it was labelled. Today a model is found by `id`, which means for exactly this scene.
+    A model of an object is found by `id`, which means for exactly this scene; the energy of an arm by its `ArmKey`.
     """
 
     id: str
@@ -39,14 +38,11 @@ class ModelKey:
         An energy ranks grasps, and exact checks decide: what stands in the way only now needs no other model.
         """
         workcell = workcell.as_loaded
-        fixed = (*(support.shape for support in workcell.supports), *workcell.obstacles)
         return ModelKey(
             id=content_hash("model", FORMAT, body.fingerprint(), workcell.fingerprint())[:32],
             object=body.fingerprint(),
-            robot=workcell.arm.robot.fingerprint(),
-            mounting=content_hash(workcell.arm.T_world_base),
-            end_effector=workcell.arm.end_effector.fingerprint(),
-            surroundings=content_hash([shape_parts(shape) for shape in fixed]),
+            **asdict(ArmKey.of(workcell)),
+            surroundings=surroundings(workcell),
             workspace=content_hash(workcell.bounds.array),
             clearance=content_hash(np.array(list(vars(workcell.clearance).values()))),
         )
@@ -57,6 +53,43 @@ class ModelKey:
 
     def differing(self, report: dict[str, Any]) -> list[str]:
         """Return the parts in which the model of `report` was made for something else; older reports know none."""
-        made_for = report.get("made_for")
-        known = made_for if isinstance(made_for, dict) else {}
-        return [name.replace("_", "-") for name, value in self.parts().items() if known.get(name, value) != value]
+        return _differing(self.parts(), report.get("made_for"))
+
+
+@dataclass(frozen=True)
+class ArmKey:
+    """A hash of each part of an arm that its energy belongs to: what it says of another arm is meaningless.
+
+    Where objects may stand and what is around them are free, since an energy ranks grasps, and exact checks decide.
+    """
+
+    robot: str
+    mounting: str
+    end_effector: str
+
+    @staticmethod
+    def of(workcell: Workcell) -> ArmKey:
+        """Return the key of the arm in `workcell`."""
+        arm = workcell.arm
+        return ArmKey(arm.robot.fingerprint(), content_hash(arm.T_world_base), arm.end_effector.fingerprint())
+
+    @property
+    def id(self) -> str:
+        """One hash of all parts."""
+        return content_hash("arm", FORMAT, self.robot, self.mounting, self.end_effector)[:32]
+
+    def differing(self, card: dict[str, Any]) -> list[str]:
+        """Return the parts in which the energy with the model card `card` belongs to another arm."""
+        return _differing(asdict(self), card.get("arm"))
+
+
+def surroundings(workcell: Workcell) -> str:
+    """Return a hash of the supports and obstacles that `workcell` was loaded with."""
+    workcell = workcell.as_loaded
+    fixed = (*(support.shape for support in workcell.supports), *workcell.obstacles)
+    return content_hash([shape_parts(shape) for shape in fixed])
+
+
+def _differing(parts: dict[str, str], made_for: Any) -> list[str]:
+    known = made_for if isinstance(made_for, dict) else {}
+    return [name.replace("_", "-") for name, value in parts.items() if known.get(name, value) != value]

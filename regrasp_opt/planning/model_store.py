@@ -122,12 +122,17 @@ def write_report(folder: Path, report: dict[str, Any]) -> None:
         temporary.write_text(json.dumps({"format": FORMAT, **report}, indent=1) + "\n", encoding="utf-8")
 
 
+def workcell_arguments(workcell: Workcell) -> list[str]:
+    """Return the arguments that name a workcell on the command line of `prepare`."""
+    parts = [workcell.name if workcell.source == "built-in" else workcell.source]
+    override = workcell.end_effector_override
+    return parts if override is None else [*parts, "--end-effector", override]
+
+
 def command_arguments(body: ObjectModel, workcell: Workcell) -> str:
-    """Return the arguments that name an object and a workcell on the command line of `prepare`."""
-    parts = [body.name if body.source == "built-in" else body.source]
-    parts += ["--workcell", workcell.name if workcell.source == "built-in" else workcell.source]
-    if workcell.end_effector_override is not None:
-        parts += ["--end-effector", workcell.end_effector_override]
+    """Return the arguments that name a workcell and an object on the command line of `prepare`."""
+    parts = workcell_arguments(workcell)
+    parts += ["--object", body.name if body.source == "built-in" else body.source]
     if body.scale != 1.0:
         parts += ["--scale", f"{body.scale:g}"]
     if body.repair:

@@ -16,7 +16,7 @@ import joblib
 import numpy as np
 
 from regrasp_opt.conventions import as_seed, translation
-from regrasp_opt.energy.calibration import calibrate
+from regrasp_opt.energy.calibration import HeldOut, calibrate
 from regrasp_opt.energy.features import pair_features
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
 from regrasp_opt.energy.storage import save_energy
@@ -173,4 +173,4 @@ def _train_and_calibrate(
     options = replace(PRESETS[preset], seed=seed)
     chosen = grasps.subset(pairs.grasp_ids)
     trained = train(pair_features(pairs.T, chosen, options.features, options.use_width), pairs.feasible, options)
-    return calibrate(trained, GraspEnergy(trained, grasps), held_out.T, held_out.feasible, seed)
+    return calibrate(trained, [HeldOut(GraspEnergy(trained, grasps)(held_out.T), held_out.feasible)], seed)

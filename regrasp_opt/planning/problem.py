@@ -16,6 +16,7 @@ from regrasp_opt.errors import GraspError, UnknownNameError, WorkcellError
 from regrasp_opt.geometry.shapes import Shape
 from regrasp_opt.grasps import GraspSet, rejected_grasps, sample_grasps
 from regrasp_opt.objects import ObjectModel, Placement, load_object
+from regrasp_opt.planning.arm_energy import load_arm_energy
 from regrasp_opt.planning.model_store import ENERGY_FILES, find_model, load_prepared_grasps
 from regrasp_opt.planning.problem_data import ProblemData
 from regrasp_opt.planning.sequence_nlp import sequence_nlp
@@ -48,6 +49,10 @@ class RegraspProblem(ProblemData):
         Where the prepared model was found.
     preset : {"default", "paper"}
         Which of the prepared energies is used.
+    arm_energy : Path or None
+        File of the arm's energy, where one was named.
+    base : RegraspProblem or None
+        The problem without the obstacles that were put in afterwards.
     left_out : dict
         Those of the given grasps that cannot be used: their numbers in the given set, and why. The others are in
         `grasps`, in their order and numbered from 0.
@@ -76,7 +81,8 @@ class RegraspProblem(ProblemData):
         end_effector : str, optional
             Replaces the workcell's end-effector.
         model : path, optional
-            Folder that ``regrasp-opt prepare --out`` wrote; by default the bundled models and the user's are searched.
+            What ``regrasp-opt prepare --out`` wrote: the file of an arm's energy, or the folder of an object's model.
+            By default the object's model is searched, then the arm's energy, among the bundled ones and the user's.
         grasps : GraspSet, optional
             Plan with these instead of the prepared ones; an energy knows grasps by their geometry, not their number.
             Each must hold the object and be free of it otherwise (`regrasp_opt.grasps.Failure`). One warning names
@@ -105,8 +111,11 @@ class RegraspProblem(ProblemData):
             raise GraspError(
                 f"'{body.name}' has no stable placement on a table, so it cannot be planned; check its shape and scale"
             )
-        folder = find_model(body, workcell, None if model is None else Path(model))
-        tested = grasps is not None or model is not None
+        file = None if model is None or Path(model).is_dir() else Path(model)
+        if file is not None:
+            load_arm_energy(file, workcell)
+        folder = find_model(body, workcell, None if model is None else Path(model)) if file is None else None
+        tested = grasps is not None or (folder is not None and model is not None)
         if grasps is None and folder is not None:
             grasps = load_prepared_grasps(folder)
         if grasps is None:
@@ -114,7 +123,7 @@ class RegraspProblem(ProblemData):
         left_out: dict[int, str] = {}
         if tested:
             grasps, left_out = _usable(grasps, body, workcell)
-        return assemble(body, workcell, grasps, folder, preset, left_out)
+        return assemble(body, workcell, grasps, folder, preset, left_out, file)
 
     def with_obstacles(self, obstacles: Iterable[Shape | Mapping[str, Any]]) -> RegraspProblem:
         """Return this problem with more obstacles in the workcell: nothing is sampled, trained or refused for them.
@@ -144,7 +153,7 @@ class RegraspProblem(ProblemData):
                 f"'{hit[0]}' collides with '{hit[1]}', or is nearer than its clearance, while the robot is at home; "
                 "move the obstacle"
             )
-        return replace(self, workcell=workcell)
+        return replace(self, workcell=workcell, base=self.base or self)
 
     def nlp(
         self,
@@ -195,11 +204,12 @@ def assemble(
     folder: Path | None,
     preset: Literal["default", "paper"] = "default",
     left_out: dict[int, str] | None = None,
+    arm_energy: Path | None = None,
 ) -> RegraspProblem:
     """Return the problem of these parts; nothing is tested, and no grasp is left out."""
     lift = translation(0.0, 0.0, workcell.table.height)
     placements = tuple(Placement(lift @ p.pose, p.margin) for p in body.placements)
-    return RegraspProblem(body, workcell, grasps, placements, folder, preset, left_out or {})
+    return RegraspProblem(body, workcell, grasps, placements, folder, preset, left_out or {}, arm_energy)
 
 
 def _usable(grasps: GraspSet, body: ObjectModel, workcell: Workcell) -> tuple[GraspSet, dict[int, str]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
@@ -12,21 +13,26 @@ import numpy as np
 from regrasp_opt.connectivity import CostOptions, SequenceObjective, TableRule
 from regrasp_opt.connectivity.embedding import ProblemEnergy
 from regrasp_opt.conventions import BoolArray, FloatArray, as_pose, planar_transform
-from regrasp_opt.errors import ModelError, PoseError
+from regrasp_opt.errors import PoseError
 from regrasp_opt.feasibility import FeasibilityChecker
-from regrasp_opt.feasibility.tabletop import points_in_table
-from regrasp_opt.files import data_home
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel, Placement
+from regrasp_opt.planning.arm_energy import find_arm_energy, load_arm_energy, train_arm_energy
 from regrasp_opt.planning.model_key import ModelKey
-from regrasp_opt.planning.model_store import command_arguments, load_prepared_energy
+from regrasp_opt.planning.model_store import load_prepared_energy
+from regrasp_opt.planning.rules import GraspRules
 from regrasp_opt.scene import Workcell
 from regrasp_opt.solvers import PoseLattice
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
 class ProblemData:
-    """The fields of a `RegraspProblem`, and what follows from them."""
+    """The fields of a `RegraspProblem`, and what follows from them.
+
+    `base` is the problem without the obstacles that were put in afterwards; all that these do not touch is its own.
+    """
 
     object: ObjectModel
     workcell: Workcell
@@ -35,6 +41,8 @@ class ProblemData:
     model_folder: Path | None = None
     preset: Literal["default", "paper"] = "default"
     left_out: dict[int, str] = field(default_factory=dict)
+    arm_energy: Path | None = None
+    base: ProblemData | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle the fields alone: what was computed from them is large, and some of it cannot travel."""
@@ -50,41 +58,65 @@ class ProblemData:
         """The placements' poses (S, 4, 4)."""
         return np.array([p.pose for p in self.placements])
 
+    @property
+    def energy_file(self) -> Path | None:
+        """The file or folder of the energy to plan with; None where one has to be trained first."""
+        return self.model_folder or self.arm_energy or find_arm_energy(self.workcell)
+
     @cached_property
     def energy(self) -> ProblemEnergy:
-        """The prepared energy on this problem's grasps.
+        """The energy on this problem's grasps: the object's own where one was prepared, else the arm's.
+
+        The arm's is trained where there is none yet, once, and kept.
 
         Raises
         ------
         ModelError
-            If none was prepared for this object and workcell.
+            If a file is broken or belongs to something else, or no energy can be trained for the arm.
         """
-        if self.model_folder is None:
-            raise ModelError(
-                f"no model was prepared for '{self.object.name}' in workcell '{self.workcell.name}'; run "
-                f"'regrasp-opt prepare {command_arguments(self.object, self.workcell)}'"
-            )
-        model = load_prepared_energy(self.model_folder, self.preset, ModelKey.of(self.object, self.workcell).id)
+        if self.base is not None:
+            return self.base.energy
+        if self.model_folder is not None:
+            model = load_prepared_energy(self.model_folder, self.preset, ModelKey.of(self.object, self.workcell).id)
+        else:
+            file = self.energy_file
+            if file is None:
+                arm = self.workcell.arm
+                text = "training an energy for '%s' with '%s', once, in about a minute or less"
+                logger.warning(text, arm.robot.name, arm.end_effector.name)
+                file, _ = train_arm_energy(self.workcell)
+            model = load_arm_energy(file, self.workcell)
         return ProblemEnergy(model, self.grasps, self.placement_poses)
 
     @cached_property
-    def lattice(self) -> PoseLattice:
-        """The lattice of poses with their energies; kept on disk under a hash, and in memory."""
-        cache = data_home() / "lattices"
-        bounds = self.workcell.bounds.array
-        return PoseLattice.build(self.energy, self.placement_poses, bounds, cache, self.table_rule)
+    def rules(self) -> GraspRules:
+        """The exact rules: what table, object and obstacles make impossible."""
+        same = None if self.base is None else self.base.rules
+        return GraspRules(self.checker, self.object, self.placement_poses, same)
 
-    @cached_property
+    @property
     def table_rule(self) -> TableRule:
         """Which grasps the table makes infeasible at a placement, whatever the planar parameters."""
-        table = self.workcell.table
-        corners = table.center + np.array([[-0.5], [0.5]]) * table.size
-        return TableRule(points_in_table(self.workcell, self.grasps, self.placement_poses), corners)
+        return self.rules.table
+
+    @cached_property
+    def lattice(self) -> PoseLattice:
+        """The lattice of poses with their energies, those of grasps that are ruled out `BLOCKED`."""
+        if self.base is None:
+            bounds, rules = self.workcell.bounds.array, self.rules
+            free = PoseLattice.build(self.energy, self.placement_poses, bounds, rules.free_space)
+        else:
+            free = self.base.lattice
+        return free.under(self.rules.behind_obstacles) if self.rules.obstacles else free
+
+    def ruled_out(self, placements: Any, xi: Any) -> BoolArray:
+        """Return which grasps (..., G) are known to be infeasible at placement numbers (...) and `xi` (..., 3)."""
+        return self.rules(np.asarray(placements), np.asarray(xi, dtype=np.float64))
 
     def objective(
         self, start_energy: FloatArray, goal_energy: FloatArray, options: CostOptions | None = None
     ) -> SequenceObjective:
-        """Return ``J_seq`` between two ends, with what the table rules out.
+        """Return ``J_seq`` between two ends, with what the exact rules say.
 
         Parameters
         ----------
@@ -95,7 +127,7 @@ class ProblemData:
         """
         bounds, options = self.workcell.bounds.array, options or CostOptions()
         return SequenceObjective(
-            self.energy, self.placement_poses, start_energy, goal_energy, bounds, options, self.table_rule
+            self.energy, self.placement_poses, start_energy, goal_energy, bounds, options, self.ruled_out
         )
 
     def pose(self, placement: int, x: float, y: float, yaw: float = 0.0) -> FloatArray:

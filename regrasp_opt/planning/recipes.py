@@ -80,7 +80,7 @@ class Recipe:
         num_regrasps: int,
         rng: np.random.Generator,
     ) -> Candidates:
-        """Return start points for all batches; lattice chains come with the fallback's behind them.
+        """Return start points for all batches.
 
         Parameters
         ----------
@@ -93,7 +93,7 @@ class Recipe:
         """
         wanted = sum(self.batches)
         if self.starts == "lattice":
-            return lattice_starts(lattice(), objective, num_regrasps, wanted + self.fallback, rng)
+            return lattice_starts(lattice(), objective, num_regrasps, wanted, rng)
         if self.starts == "random":
             return random_starts(objective, num_regrasps, wanted, rng)
         samples = random_starts(objective, num_regrasps, max(wanted, LANGEVIN_SAMPLES), rng)

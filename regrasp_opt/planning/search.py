@@ -26,7 +26,7 @@ from regrasp_opt.planning.plan_data import Status
 from regrasp_opt.planning.problem import RegraspProblem
 from regrasp_opt.planning.recipes import EXACT, Recipe, as_recipe
 from regrasp_opt.planning.verification import PoseFeasibility, enumerate_transition, verify_sequence
-from regrasp_opt.solvers import Candidates, LatticeRefiner, Refiner
+from regrasp_opt.solvers import Candidates, LatticeRefiner, Refiner, lattice_starts
 from regrasp_opt.threads import one_blas_thread
 
 MAX_REGRASPS = 8
@@ -210,7 +210,10 @@ class _Search:
             return None
         entry = {"num_regrasps": num_regrasps, "refiner": "lattice"}
         self.stats.append(entry)
-        return self._first_verified(objective, chains.take(slice(0, recipe.fallback)), entry)
+        with self.clock.timed("starts"):
+            rng = np.random.default_rng([self.seed, num_regrasps])
+            chains = lattice_starts(self.problem.lattice, objective, num_regrasps, recipe.fallback, rng)
+        return self._first_verified(objective, chains, entry)
 
     def _first_verified(
         self, objective: SequenceObjective, candidates: Candidates, entry: dict[str, Any]
@@ -301,7 +304,7 @@ class _Search:
     def objective(self) -> SequenceObjective:
         start, goal = (self._end_energy(end) for end in self.ends)
         known = self.problem.objective(start, goal, self.options)
-        return known if self.recipe.knowledge == "exact" else replace(known, table_rule=None)
+        return known if self.recipe.knowledge == "exact" else replace(known, rule=None)
 
     def _end_energy(self, end: PoseFeasibility) -> FloatArray:
         """Return the energies (G,) at a fixed end, exact ones if they may be used."""

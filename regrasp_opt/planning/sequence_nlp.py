@@ -50,7 +50,7 @@ def sequence_nlp(
         start=ends[0],
         goal=ends[1],
         mask=mask,
-        blocked=problem.table_rule(numbers, xi),
+        blocked=problem.ruled_out(numbers, xi),
         options=options,
     )
     values = {"mask": np.ones(len(energy))} if isinstance(mask, str) else {}

@@ -132,7 +132,8 @@ class CollisionWorld:
         ]
         if phase is ContactPhase.HOME:
             return links + _apart((*self.moving, *self.gripper), around, 0.0) + tool
-        resting = held if phase in (ContactPhase.GRASP, ContactPhase.MOVE) else ()
+        there = self.object < len(self.bodies)
+        resting = held if there and phase in (ContactPhase.GRASP, ContactPhase.MOVE) else ()
         pairs = _apart(self.moving, (*self.supports, *resting, *self.obstacles), near.arm)
         pairs += _apart(self.gripper, around, near.gripper) + tool + links
         if phase is ContactPhase.MOVE:

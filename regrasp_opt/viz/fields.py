@@ -36,8 +36,8 @@ class CostField(NamedTuple):
 
 
 def has_energy(plan: RegraspPlan) -> bool:
-    """Return whether a model was prepared for the plan's problem."""
-    return plan.problem.model_folder is not None
+    """Return whether there is an energy for the plan's problem, without training one."""
+    return plan.problem.energy_file is not None
 
 
 def grasp_energies(plan: RegraspPlan) -> list[FloatArray]:
@@ -57,7 +57,7 @@ def cost_field(plan: RegraspPlan, number: int, turn: float = 0.0) -> CostField:
     placement, theta = int(plan.placements[number - 1]), float(plan.xi[number - 1, 2]) + turn
     xi = np.stack([*np.meshgrid(x, y), np.full((len(y), len(x)), theta)], axis=-1).reshape(-1, 3)
     learned = problem.energy(planar_transform(xi) @ problem.placement_poses[placement], np.float32)
-    moved = block(learned, problem.table_rule(np.full(len(xi), placement), xi))
+    moved = block(learned, problem.ruled_out(np.full(len(xi), placement), xi))
     ends = {i: exact_energy(problem.feasible_grasps(plan.poses[i])) for i in (0, plan.num_regrasps + 1)}
     others = problem.energy(plan.poses, np.float32)
     known = {i: np.broadcast_to(ends.get(i, others[i]), moved.shape) for i in range(len(plan.poses))}

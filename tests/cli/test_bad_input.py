@@ -22,6 +22,8 @@ SHEARED[0, 1] = 0.1
 MIRRORED[0, 0] = -1.0
 ODD[3, 0] = 0.5
 
+PREPARE = "prepare", "nova2-w", "--object", "pentagon"
+
 
 def contents(folder):
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
@@ -83,7 +85,7 @@ def test_an_end_in_an_obstacle_or_out_of_reach(refuse, tmp_path):
 )
 def test_objects_that_cannot_be_handled(refuse, tmp_path, shape, said):
     shape.export(tmp_path / "part.stl")
-    refuse(said, "prepare", "part.stl", "--samples", 300, "--jobs", 1, "--out", "model")
+    refuse(said, "prepare", "nova2-w", "--object", "part.stl", "--samples", 300, "--jobs", 1, "--out", "model")
     refuse(said, "plan", "--object", "part.stl", "--out", "plan.json")
 
 
@@ -102,7 +104,7 @@ def test_a_robot_that_collides_with_itself_at_home(refuse, tmp_path):
     (tmp_path / "cell.toml").write_text(folded, encoding="utf-8")
     said = "'link1' collides with 'link5', or is nearer than its clearance, while the robot is at home"
     refuse(said, "plan", "--workcell", "cell.toml", "--out", "plan.json")
-    refuse(said, "prepare", "bottle", "--workcell", "cell.toml", "--out", "model")
+    refuse(said, "prepare", "cell.toml", "--object", "bottle", "--out", "model")
 
 
 def test_numbers_and_names_that_are_none(refuse):
@@ -112,12 +114,24 @@ def test_numbers_and_names_that_are_none(refuse):
 
 
 def test_more_samples_than_fit_into_memory(refuse):
-    refuse("ask for fewer samples", "prepare", "pentagon", "--samples", 10**13, "--jobs", 1, "--out", "model")
+    refuse(
+        "ask for fewer samples",
+        "prepare",
+        "nova2-w",
+        "--object",
+        "pentagon",
+        "--samples",
+        10**13,
+        "--jobs",
+        1,
+        "--out",
+        "model",
+    )
 
 
 def test_running_out_of_memory_is_one_line(refuse, monkeypatch):
     monkeypatch.setattr(prepare_command, "prepare", lambda *_, **__: np.zeros(2**57))
-    refuse("there is not enough memory", "prepare", "pentagon", "--out", "model")
+    refuse("there is not enough memory", *PREPARE, "--out", "model")
 
 
 def test_a_folder_of_broken_meshes(refuse, tmp_path):

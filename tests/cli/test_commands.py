@@ -124,11 +124,11 @@ def test_the_page_needs_no_network(capsys, tmp_path):
 def test_prepare_then_plan(capsys, tmp_path):
     folder = tmp_path / "model"
     options = ("--samples", 300, "--grasps", 20, "--jobs", 1, "--out", folder)
-    outcome = in_process(capsys, "prepare", "pentagon", *options, "--json")
+    outcome = in_process(capsys, "prepare", "nova2-w", "--object", "pentagon", *options, "--json")
     assert outcome.code == 0 and outcome.data["folder"] == str(folder)
     assert outcome.data["held_out"]["default"]["average_precision"] > 0.5
     assert in_process(capsys, "plan", "--object", "pentagon", "--model", folder, "--json").data["status"] == "solved"
-    said = in_process(capsys, "prepare", "pentagon", *options)
+    said = in_process(capsys, "prepare", "nova2-w", "--object", "pentagon", *options)
     assert said.code == 0 and said.out.startswith("prepared pentagon for nova2-w: 20 grasps")
     assert "AP" in said.out and "paper" in said.out
 
@@ -173,7 +173,7 @@ def test_version(capsys):
         (("plan", "--workcell", "nova2-r8"), "unknown workcell 'nova2-r8'; known: nova2-r85, "),
         (("plan", "--end-effector", "r84"), "unknown end-effector 'r84'; known: r85, "),
         (("plan", "--refiner", "ipot"), "unknown refiner 'ipot'; known: ipopt, "),
-        (("prepare", "mugg"), "unknown object 'mugg'; known: mug, "),
+        (("prepare", "nova2-w", "--object", "mugg"), "unknown object 'mugg'; known: mug, "),
         (("export", "botle-nova2-w", "--to", "c"), "unknown model 'botle-nova2-w'; known: bottle-nova2-w, "),
         (("plan", "--object", "none.stl"), "none.stl does not exist"),
         (("plan", "--workcell", "none.toml"), "none.toml cannot be read"),
@@ -197,8 +197,8 @@ def test_version(capsys):
         (("plan", "--out", ""), "an argument is empty"),
         (("plan", "--start="), "an argument is empty"),
         (("prepare",), "OBJECT"),
-        (("prepare", "mug", "--samples", "5"), "samples is 5"),
-        (("prepare", "mug", "--grasps", "0"), "num_grasps 0"),
+        (("prepare", "nova2-w", "--object", "mug", "--samples", "5"), "samples is 5"),
+        (("prepare", "nova2-w", "--object", "mug", "--grasps", "0"), "num_grasps 0"),
         (("check",), "PLAN"),
         (("check", "none.json"), "cannot read the plan 'none.json'"),
         (("check", "."), "cannot read the plan"),
@@ -243,7 +243,7 @@ def test_prepare_into_a_place_that_cannot_be_written(capsys, tmp_path):
     blocker = tmp_path / "file"
     blocker.write_text("kept", encoding="utf-8")
     options = ("--samples", 300, "--grasps", 20, "--jobs", 1, "--out", blocker / "model")
-    assert_refused(in_process(capsys, "prepare", "pentagon", *options), str(blocker))
+    assert_refused(in_process(capsys, "prepare", "nova2-w", "--object", "pentagon", *options), str(blocker))
     assert blocker.read_text("utf-8") == "kept"
 
 
@@ -259,4 +259,4 @@ def test_meshes_that_are_no_solid(capsys, tmp_path):
     for content in (b"", b"solid part\nendsolid part\n", b"\x00" * 84, b"junk" * 100):
         path.write_bytes(content)
         assert_refused(in_process(capsys, "plan", "--object", path), "part.stl")
-        assert_refused(in_process(capsys, "prepare", path), "part.stl")
+        assert_refused(in_process(capsys, "prepare", "nova2-w", "--object", path), "part.stl")

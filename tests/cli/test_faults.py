@@ -15,6 +15,8 @@ from regrasp_opt.cli import main
 main()
 """
 
+PREPARE = "prepare", "nova2-w", "--object", "pentagon"
+
 
 def command(script, *arguments, home):
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "REGRASP_OPT_HOME": str(home)}
@@ -42,7 +44,10 @@ def test_a_cache_that_cannot_be_written_is_no_error_for_a_plan_but_is_for_prepar
     monkeypatch.setenv("REGRASP_OPT_HOME", str(blocker / "home"))
     assert as_process("plan", cwd=tmp_path).code == 0
     assert_refused(
-        as_process("prepare", "pentagon", "--samples", 300, "--grasps", 20, "--jobs", 1, cwd=tmp_path), "file"
+        as_process(
+            "prepare", "nova2-w", "--object", "pentagon", "--samples", 300, "--grasps", 20, "--jobs", 1, cwd=tmp_path
+        ),
+        "file",
     )
     assert blocker.read_text("utf-8") == "kept" and list(tmp_path.iterdir()) == [blocker]
 
@@ -59,4 +64,3 @@ def test_two_processes_on_one_fresh_cache_make_the_same_plan(tmp_path, capsys):
     plans.append(in_process(capsys, *arguments).data)
     assert all(plan.pop("timings") for plan in plans)
     assert plans[0] == plans[1] == plans[2]
-    assert len(list((tmp_path / "lattices").iterdir())) == 1

@@ -61,4 +61,6 @@ def busy(*arguments, **options):
 prepare.run_prepare = busy
 main()
 """
-    assert_ends_with(body, "interrupted; run the same command again to resume\n", tmp_path, "prepare", "mug")
+    assert_ends_with(
+        body, "interrupted; run the same command again to resume\n", tmp_path, "prepare", "nova2-w", "--object", "mug"
+    )

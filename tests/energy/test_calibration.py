@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from regrasp_opt.energy.calibration import (
+    HeldOut,
     area_under_roc,
     average_precision,
     best_threshold,
@@ -14,7 +15,7 @@ from regrasp_opt.energy.calibration import (
 
 def calibrated(energies, feasible, model, seed=0):
     """Return `model` calibrated on poses 0, 1, ... whose energies and feasibility (B, G) are given."""
-    return calibrate(model, lambda poses: energies[poses], np.arange(len(energies)), feasible, seed)
+    return calibrate(model, [HeldOut(energies, feasible)], seed)
 
 
 def ranked(count=400, seed=0):

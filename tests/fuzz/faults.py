@@ -53,8 +53,12 @@ class Job:
     seconds: float
 
 
+PREPARE = "prepare", "nova2-w", "--object", "pentagon"
 JOBS = {
-    "prepare": Job((_LOAD, "prepare", "pentagon", "--samples", "2000", "--grasps", "60", "--jobs", "2"), 25.0),
+    "prepare": Job(
+        (_LOAD, "prepare", "nova2-w", "--object", "pentagon", "--samples", "2000", "--grasps", "60", "--jobs", "2"),
+        25.0,
+    ),
     "bench": Job((_BENCH, "bench", "one-step", "--quick", "--jobs", "1", "--out", "{}/results"), 20.0),
 }
 """The commands by the name under which they are reported; `bench` is `one-step` on one object and a coarse grid."""

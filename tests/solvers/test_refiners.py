@@ -165,16 +165,6 @@ def test_lattice_starts_leave_out_what_has_no_chance(random_objective, monkeypat
     assert len(starts(blocked)) == 0
 
 
-def test_lattice_cache_heals(random_objective, tmp_path):
-    arguments = (random_objective.energy, random_objective.placements, BOUNDS, tmp_path)
-    first = PoseLattice.build(*arguments)
-    (stored,) = tmp_path.glob("*.npy")
-    np.testing.assert_array_equal(PoseLattice.build(*arguments).energies, first.energies)
-    stored.write_bytes(stored.read_bytes()[:100])
-    np.testing.assert_array_equal(PoseLattice.build(*arguments).energies, first.energies)
-    assert np.load(stored).shape == first.energies.shape
-
-
 def test_candidates_rank_by_cost():
     batch = Candidates(np.zeros((3, 1), dtype=int), np.arange(9.0).reshape(3, 1, 3), np.array([2.0, 1.0, 3.0]))
     assert batch.best(2).cost.tolist() == [1.0, 2.0]
@@ -253,7 +243,7 @@ def test_langevin_descends_the_objective_with_what_the_table_rules_out(random_ob
     rng = np.random.default_rng(8)
     point = rng.uniform(-0.2, 0.2, (3, 20, 2))
     point[rng.random((3, 20)) < 0.5] = np.nan
-    objective = replace(random_objective, table_rule=TableRule(point, np.array([[-0.3, -0.3], [0.3, 0.3]])))
+    objective = replace(random_objective, rule=TableRule(point, np.array([[-0.3, -0.3], [0.3, 0.3]])))
     placements = rng.integers(3, size=(30, num_regrasps))
     xi = rng.uniform([-0.4, -0.4, -3.0], [0.4, 0.4, 3.0], (30, num_regrasps, 3))
     assert 0.05 < objective.ruled_out(placements, xi).mean() < 0.6

@@ -124,7 +124,7 @@ def generate(
         starts = _random_starts(objective, per_placement, rng)
     else:
         if lattice is None:
-            lattice = PoseLattice.build(task.energy, task.placements, task.bounds, table_rule=task.table_rule)
+            lattice = PoseLattice.build(task.energy, task.placements, task.bounds, rule=task.table_rule)
         starts = _lattice_starts(lattice, objective, per_placement)
     refined = generator.refiner.refine(objective, starts, rng).candidates
     return refined.best(len(refined))

@@ -12,7 +12,7 @@ import joblib
 
 from regrasp_opt.benchmarks.harness.parallel import resumed
 from regrasp_opt.benchmarks.harness.subjects import problem_key
-from regrasp_opt.energy.calibration import calibrate
+from regrasp_opt.energy.calibration import HeldOut, calibrate
 from regrasp_opt.energy.features import pair_features
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
 from regrasp_opt.energy.storage import load_energy, save_energy
@@ -97,4 +97,6 @@ def _train(request: TrainingRequest) -> tuple[Path, EnergyModel]:
     grasps, options = request.problem.grasps, request.options
     features = pair_features(pairs.T, grasps.subset(pairs.grasp_ids), options.features, options.use_width)
     model = train(features, pairs.feasible, options)
-    return request.path, calibrate(model, GraspEnergy(model, grasps), held_out.T, held_out.feasible, request.seed)
+    return request.path, calibrate(
+        model, [HeldOut(GraspEnergy(model, grasps)(held_out.T), held_out.feasible)], request.seed
+    )

@@ -272,7 +272,7 @@ def _connectivity(plan: RegraspPlan, ends: list[PoseFeasibility]) -> tuple[Seque
         start=start,
         goal=goal,
         placements=plan.placements.tolist(),
-        blocked=problem.table_rule(plan.placements, plan.xi) if len(plan.xi) else None,
+        blocked=problem.ruled_out(plan.placements, plan.xi) if len(plan.xi) else None,
     )
     return objective, functions.J_seq
 

@@ -1,0 +1,194 @@
+"""The energy of an arm: trained once, without any object, and used for every object in every scene.
+
+``E(T, g) = E_arm(T_base_world T g, w_g)`` depends on the pose of the tool and on the jaw's width alone. It is labelled
+by the exact check of tool poses in the workcell as loaded. What it cannot know, the object and what was put in
+afterwards, comes in by exact rules (`RegraspProblem.ruled_out`) and by the check of every plan.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import shlex
+import time
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from regrasp_opt.connectivity import block
+from regrasp_opt.conventions import as_seed, planar_transform, translation
+from regrasp_opt.energy.calibration import HeldOut, average_precision, calibrate
+from regrasp_opt.energy.features import pair_features
+from regrasp_opt.energy.model import EnergyModel, GraspEnergy
+from regrasp_opt.energy.storage import load_energy, save_energy
+from regrasp_opt.energy.training import TrainingOptions, train
+from regrasp_opt.errors import GraspError, ModelError, OptionError
+from regrasp_opt.feasibility import FeasibilityChecker
+from regrasp_opt.feasibility.dataset import random_poses
+from regrasp_opt.feasibility.tool_poses import LabelledToolPoses, label_tool_poses
+from regrasp_opt.files import data_home
+from regrasp_opt.grasps import GraspSet, sample_grasps
+from regrasp_opt.objects import OBJECT_NAMES, load_object
+from regrasp_opt.planning.model_key import ArmKey, surroundings
+from regrasp_opt.planning.model_store import workcell_arguments
+from regrasp_opt.planning.rules import GraspRules
+from regrasp_opt.robots.analytic import AnalyticIk
+from regrasp_opt.scene import Workcell
+
+TRAINING = TrainingOptions(features="arm", epochs=12, batch_size=2048)
+POSES = 300_000
+"""Tool poses to train on."""
+POSES_NUMERICAL = 60_000
+"""The same where inverse kinematics is numerical, and slow."""
+UNSEEN_GRASPS, UNSEEN_POSES = 50, 40
+"""Grasps of each built-in object, and poses, that say how good an energy is on objects that it never saw."""
+
+Progress = Callable[[str, int, int], None]
+logger = logging.getLogger(__name__)
+
+
+def find_arm_energy(workcell: Workcell) -> Path | None:
+    """Return the file of the energy of the arm in `workcell`, bundled or in the user's data folder, or None."""
+    key, arm = ArmKey.of(workcell), workcell.arm
+    bundled = Path(str(resources.files("regrasp_opt"))) / "data" / "arms"
+    bundled /= f"{arm.robot.name}-{arm.end_effector.name}.safetensors"
+    for path in (bundled, _kept(key)):
+        if path.is_file() and not key.differing(load_energy(path).metadata):
+            return path
+    return None
+
+
+def load_arm_energy(path: str | os.PathLike[str], workcell: Workcell) -> EnergyModel:
+    """Return the energy in `path` for the arm in `workcell`; one line says where its surroundings were others.
+
+    Raises
+    ------
+    ModelError
+        If the file is missing or corrupt, or belongs to another robot, mounting or end-effector.
+    """
+    model = load_energy(path)
+    card, arm = model.metadata, workcell.arm
+    if model.features != TRAINING.features or "arm" not in card:
+        raise ModelError(f"'{path}' is not the energy of an arm; make one with 'regrasp-opt prepare WORKCELL'")
+    other = ArmKey.of(workcell).differing(card)
+    if other:
+        arguments = shlex.join(workcell_arguments(workcell))
+        raise ModelError(
+            f"'{path}' is the energy of another {' and '.join(other)} than '{arm.robot.name}' with "
+            f"'{arm.end_effector.name}' in '{workcell.name}'; run 'regrasp-opt prepare {arguments}'"
+        )
+    if card["surroundings"] != surroundings(workcell):
+        logger.info("the energy of the arm was trained in '%s', with other supports or obstacles", card["workcell"])
+    return model.seen_from(arm.T_base_world)
+
+
+def train_arm_energy(
+    workcell: Workcell,
+    *,
+    poses: int | None = None,
+    out: str | os.PathLike[str] | None = None,
+    seed: int = 0,
+    jobs: int = -1,
+    progress: Progress | None = None,
+) -> tuple[Path, dict[str, Any]]:
+    """Train and store the energy of the arm in `workcell`.
+
+    Parameters
+    ----------
+    poses : int, optional
+        Tool poses to label and train on; by default `POSES`, or `POSES_NUMERICAL` without analytic kinematics.
+    out : path, optional
+        File of the energy (.safetensors); by default one in the user's data folder, where it is found again.
+    seed : int
+        The same seed gives the same energy on the same machine.
+    jobs : int
+        Worker processes for labelling, as joblib counts them.
+    progress : callable, optional
+        Called with (what is being done, done, to do).
+
+    Returns
+    -------
+    path : Path
+    card : dict
+        The model card: what it was trained for, counts, times [s], and how it ranks the grasps of the built-in objects,
+        with the exact rules; average precision by object in ``unseen``, other metrics of all in ``held_out``.
+
+    Raises
+    ------
+    ModelError
+        If no tool pose is feasible; says why, with counts.
+    OptionError
+        For fewer than 1,000 poses, or no workers.
+    """
+    if poses is None:
+        poses = POSES if isinstance(workcell.arm.robot.ik, AnalyticIk) else POSES_NUMERICAL
+    if poses < 1000:
+        raise OptionError(f"poses is {poses}; give at least 1000")
+    if jobs == 0:
+        raise OptionError("jobs is 0; give a number of worker processes, or -1 for all cores")
+    seed, workcell, tell = as_seed(seed), workcell.as_loaded, progress or (lambda *_: None)
+    began = [time.perf_counter()]
+    labels = label_tool_poses(workcell, poses, seed=seed, jobs=jobs, progress=lambda n, of: tell("labelling", n, of))
+    began.append(time.perf_counter())
+    trained = _train(workcell, labels, seed, lambda n, of: tell("training", n, of))
+    began.append(time.perf_counter())
+    unseen = _unseen(workcell, trained.seen_from(workcell.arm.T_base_world), seed)
+    if unseen:
+        trained = calibrate(trained, list(unseen.values()), seed)
+    began.append(time.perf_counter())
+    arm, key = workcell.arm, ArmKey.of(workcell)
+    card = {
+        **trained.metadata,
+        "arm": asdict(key),
+        "surroundings": surroundings(workcell),
+        "robot": arm.robot.name,
+        "end_effector": arm.end_effector.name,
+        "workcell": workcell.name,
+        "command": f"regrasp-opt prepare {shlex.join(workcell_arguments(workcell))} --poses {poses} --seed {seed}",
+        "seed": seed,
+        "poses": len(labels),
+        "feasible_poses": int(labels.feasible.sum()),
+        "unseen": {name: average_precision(E.ravel(), feasible.ravel()) for name, (E, feasible) in unseen.items()},
+        "times": dict(zip(("labelling", "training", "evaluation"), np.diff(began).tolist(), strict=True)),
+    }
+    path = _kept(key) if out is None else Path(out)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_energy(replace(trained, metadata=card), path)
+    return path, card
+
+
+def _kept(key: ArmKey) -> Path:
+    return data_home() / "arms" / f"{key.id}.safetensors"
+
+
+def _train(workcell: Workcell, labels: LabelledToolPoses, seed: int, tell: Callable[[int, int], None]) -> EnergyModel:
+    jaw = GraspSet(np.tile(np.eye(4), (len(labels), 1, 1)), labels.width, workcell.arm.end_effector.kind)
+    T_base_tcp = workcell.arm.T_base_world @ labels.T
+    options = replace(TRAINING, seed=seed)
+    return train(pair_features(T_base_tcp, jaw, options.features, options.use_width), labels.feasible, options, tell)
+
+
+def _unseen(workcell: Workcell, model: EnergyModel, seed: int) -> dict[str, HeldOut]:
+    """Return energies, with exact rules, and feasibility of grasps on the built-in objects that the tool can hold."""
+    rng, lift = np.random.default_rng([seed, 1]), translation(0.0, 0.0, workcell.table.height)
+    found = {}
+    for name in OBJECT_NAMES:
+        body = load_object(name)
+        try:
+            grasps = sample_grasps(body, workcell.arm.end_effector, UNSEEN_GRASPS, seed=seed)
+        except GraspError:
+            continue
+        placements = np.array([lift @ p.pose for p in body.placements])
+        numbers, xi = random_poses(placements, workcell.bounds.array, UNSEEN_POSES, rng)
+        T = planar_transform(xi) @ placements[numbers]
+        checker = FeasibilityChecker(body, workcell, grasps)
+        ids = np.tile(np.arange(len(grasps)), len(T))
+        feasible = checker.feasible_pairs(np.repeat(T, len(grasps), axis=0), ids).reshape(len(T), -1)
+        ruled_out = GraspRules(checker, body, placements)(numbers, xi)
+        if feasible.any():
+            found[name] = HeldOut(block(GraspEnergy(model, grasps)(T), ruled_out), feasible)
+    return found
