@@ -1,26 +1,27 @@
-"""Langevin dynamics on `J_seq` (Eq. 7, Alg. 1 step 2), batched in torch.
+"""Langevin dynamics on `J_seq` (Eq. 7, Alg. 1 step 2), in batches.
 
 The noise and the step act on planar parameters scaled to the workspace, so that one unit is half its width, or pi.
 With `anneal` the temperature falls to zero along the iterations; each chain returns the best point that it visited.
-torch is imported when a batch is refined, not before.
+What is ruled out is asked at the starts, as Ipopt does, and again where start and result are compared. torch is
+imported when a batch is refined, not before.
 """
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from regrasp_opt.connectivity import BLOCKED, SequenceObjective, sequence_cost
-from regrasp_opt.energy.activations import TorchNetwork
-from regrasp_opt.energy.network import evaluate
+from regrasp_opt.connectivity import SequenceObjective
+from regrasp_opt.conventions import FloatArray
 from regrasp_opt.errors import OptionError
 from regrasp_opt.solvers.base import Candidates, Refinement, keep_better, wrap_yaw
+from regrasp_opt.solvers.landscape import Landscape, NumPyLandscape, TorchLandscape
 from regrasp_opt.threads import one_torch_thread
 
-if TYPE_CHECKING:
-    import torch
+NUMPY = "numpy"
+"""The device without torch."""
 
 _CHUNK_ELEMENTS = 1 << 20
 """Hidden units of one layer that a chunk of chains holds at once on a processor: 4 MB, which its cache can hold."""
@@ -45,7 +46,7 @@ class LangevinRefiner:
     keep_best : bool
         Return the best point a chain visited; False returns the last one, as in the paper.
     device : str
-        torch device; ``"auto"`` takes a GPU where there is one.
+        torch device; ``"auto"`` takes a GPU where there is one. ``"numpy"`` does without torch, best for a few chains.
     record : bool
         Keep the poses of every iteration, in `Refinement.paths`.
     """
@@ -73,23 +74,19 @@ class LangevinRefiner:
 
     def refine(self, objective: SequenceObjective, starts: Candidates, rng: np.random.Generator) -> Refinement:
         """Return the refined batch; the stats hold the mean cost at every iteration."""
-        import torch
-
-        name = ("cuda" if torch.cuda.is_available() else "cpu") if self.device == "auto" else self.device
         num_regrasps = starts.xi.shape[1]
-        landscape = _Landscape(objective, num_regrasps, torch.device(name))
+        landscape, elements = self._landscape(objective, num_regrasps)
         width = landscape.grasps * objective.energy.model.hidden * max(1, num_regrasps)
-        chunk = max(1, (_CHUNK_ELEMENTS if name == "cpu" else _GPU_CHUNK_ELEMENTS) // width)
-        noise = torch.Generator().manual_seed(int(rng.integers(2**63 - 1)))
+        chunk = max(1, elements // width)
         parts, traces, paths = [], [], []
-        with one_torch_thread():
+        with nullcontext() if self.device == NUMPY else one_torch_thread():
             for first in range(0, len(starts), chunk):
-                xi, trace, path = self._run(landscape, starts.take(slice(first, first + chunk)), noise)
+                xi, trace, path = self._run(landscape, objective, starts.take(slice(first, first + chunk)), rng)
                 parts.append(xi)
                 traces.append(trace)
                 paths += path
         xi = wrap_yaw(np.concatenate(parts)) if parts else np.array(starts.xi)
-        xi[..., :2] = np.clip(xi[..., :2], *objective.bounds)  # single precision may leave them by rounding
+        xi[..., :2] = np.clip(xi[..., :2], *objective.bounds)  # scaling may leave them by rounding
         if self.keep_best:
             refined = keep_better(objective, starts, xi)
         else:
@@ -103,95 +100,38 @@ class LangevinRefiner:
             tuple(paths),
         )
 
-    def _run(self, landscape: _Landscape, starts: Candidates, noise: torch.Generator) -> tuple[Any, Any, Any]:
+    def _landscape(self, objective: SequenceObjective, num_regrasps: int) -> tuple[Landscape, int]:
+        """Return the landscape on the wanted device, and how many hidden units of a layer it should hold at once."""
+        if self.device == NUMPY:
+            return NumPyLandscape(objective, num_regrasps), _CHUNK_ELEMENTS
         import torch
 
-        u = landscape.scaled(starts.xi)
-        placements = torch.as_tensor(starts.placements)
-        best, best_cost = u.clone(), torch.full((len(u),), torch.inf, device=u.device)
+        name = ("cuda" if torch.cuda.is_available() else "cpu") if self.device == "auto" else self.device
+        elements = _CHUNK_ELEMENTS if name == "cpu" else _GPU_CHUNK_ELEMENTS
+        return TorchLandscape(objective, num_regrasps, torch.device(name)), elements
+
+    def _run(
+        self, landscape: Landscape, objective: SequenceObjective, starts: Candidates, rng: np.random.Generator
+    ) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
+        """Return where the chains end (B, N, 3), their costs (K+1, B), and their points (K+1, N, 3) if recorded."""
+        low, high = objective.bounds
+        center, scale = np.append((low + high) / 2, 0.0), np.append((high - low) / 2, np.pi)
+        xi, blocked = starts.xi, objective.ruled_out(starts.placements, starts.xi)
+        best, best_cost = xi.copy(), np.full(len(xi), np.inf)
         trace, points = [], []
         for k in range(self.iterations + 1):
-            u.requires_grad_(True)
-            cost = landscape.cost(placements, u)
-            (gradient,) = torch.autograd.grad(cost.sum(), u)
-            u, cost = u.detach(), cost.detach()
-            trace.append(cost.cpu().numpy())
+            cost, gradient = landscape(starts.placements, xi, blocked)
+            trace.append(cost)
             if self.record:
-                points.append(landscape.unscaled(u))
+                points.append(xi)
             better = cost < best_cost
-            best[better], best_cost[better] = u[better], cost[better]
+            best[better], best_cost[better] = xi[better], cost[better]
             if k == self.iterations:
                 break
             tau = self.tau * (1 - k / self.iterations) if self.anneal else self.tau
-            z = torch.randn(u.shape, generator=noise).to(u.device)
-            u = landscape.clamp(u - self.eta * gradient + (2 * self.eta * tau) ** 0.5 * z)
-        found = landscape.unscaled(best if self.keep_best else u)
+            u = (xi - center) / scale
+            u = u - self.eta * gradient * scale + np.sqrt(2 * self.eta * tau) * rng.standard_normal(u.shape)
+            u[..., :2] = np.clip(u[..., :2], -1, 1)
+            xi = u * scale + center
+        found = best if self.keep_best else xi
         return found, np.array(trace), list(np.stack(points, axis=1)) if points else []
-
-
-class _Landscape:
-    """The objective in torch, single precision, over scaled planar parameters and the grasps that can matter.
-
-    The first layer is affine in (1, cos, sin) of the yaw at each placement and in x and y, so the pre-activations of a
-    pose for all grasps are one row of a matrix product: the numbers above, put in the columns of the pose's placement,
-    times a table.
-    """
-
-    def __init__(self, objective: SequenceObjective, num_regrasps: int, device: torch.device) -> None:
-        import torch
-
-        def tensor(array: Any) -> torch.Tensor:
-            return torch.as_tensor(np.ascontiguousarray(array), dtype=torch.float32, device=device)
-
-        energy, model = objective.energy, objective.energy.model
-        ids = objective.useful_grasps(num_regrasps)
-        low, high = objective.bounds
-        self.grasps = len(ids)
-        self.options = objective.options
-        self.model, self.network = model, TorchNetwork()
-        self.center = tensor([*(low + high) / 2, 0.0])
-        self.scale = tensor([*(high - low) / 2, np.pi])
-        self.rule, self.ids = objective.rule, ids
-        self.ends = tensor(np.stack([objective.start_energy[ids], objective.goal_energy[ids]]))
-        planar = [energy.planar_layer(T_p, ids) for T_p in objective.placements]
-        rows = [part for layer in planar for part in (layer.constant, layer.cosine, layer.sine)]
-        rows += [np.broadcast_to(shift, rows[0].shape) for shift in (planar[0].dx, planar[0].dy)]
-        self.first = tensor(np.stack([row.T.ravel() for row in rows]))  # (3 S + 2, A H)
-        self.of_placement = torch.eye(len(planar), device=device)
-        self.layers = [(tensor(W), tensor(b)) for W, b in model.layers]
-
-    def scaled(self, xi: Any) -> torch.Tensor:
-        import torch
-
-        return (torch.as_tensor(xi, dtype=torch.float32, device=self.center.device) - self.center) / self.scale
-
-    def unscaled(self, u: torch.Tensor) -> Any:
-        return (u * self.scale + self.center).cpu().numpy().astype(np.float64)
-
-    def clamp(self, u: torch.Tensor) -> torch.Tensor:
-        import torch
-
-        return torch.cat([u[..., :2].clamp(-1, 1), u[..., 2:]], dim=-1)
-
-    def cost(self, placements: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
-        """Return ``J_seq`` (B,) of scaled planar parameters (B, N, 3)."""
-        import torch
-
-        middle = self.energies(placements.to(u.device), u * self.scale + self.center)
-        ends = self.ends[:, None, None].expand(2, len(u), 1, -1)
-        return sequence_cost(torch.cat([ends[0], middle, ends[1]], dim=1), self.options)
-
-    def energies(self, placements: torch.Tensor, xi: torch.Tensor) -> torch.Tensor:
-        """Return energies (B, N, A) at placement numbers (B, N) and planar parameters (B, N, 3)."""
-        import torch
-
-        yaw = xi[..., 2]
-        turned = torch.stack([torch.ones_like(yaw), torch.cos(yaw), torch.sin(yaw)], dim=-1)
-        own = (self.of_placement[placements][..., None] * turned[..., None, :]).flatten(-2)  # (B, N, 3 S)
-        z = torch.cat([own, xi[..., :2]], dim=-1) @ self.first
-        z = z.unflatten(-1, (self.grasps, -1))
-        learned = evaluate(self.network, self.layers, self.model.activation, self.model.bounded, z)[..., 0]
-        if self.rule is None:
-            return learned
-        ruled_out = self.rule(placements.cpu().numpy(), xi.detach().cpu().numpy().astype(np.float64))[..., self.ids]
-        return torch.where(torch.as_tensor(ruled_out, device=learned.device), BLOCKED, learned)

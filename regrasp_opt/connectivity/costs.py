@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from regrasp_opt.conventions import FloatArray
 from regrasp_opt.errors import OptionError
 
 CostVariant = Literal["J", "J+", "Jh"]
@@ -80,6 +81,28 @@ def truncated_pair_score(energy_a: Any, energy_b: Any, h: float, alpha: float = 
     some = xp.any(kept, -1)
     mass = xp.where(some, xp.sum(terms, -1), xp.ones_like(least))
     return xp.where(some, least - alpha * xp.log(mass), xp.zeros_like(least))
+
+
+def pair_weights(energies: FloatArray, options: CostOptions) -> FloatArray:
+    """Return the derivative (..., M, G) of `sequence_cost` by `energies` (..., M, G), for the variants J and J+.
+
+    With the softmin weights ``w_i`` of pair i, which sum to one, ``dJ/dE_i = c_{i-1} w_{i-1} + c_i w_i`` where
+    ``c_i = dJ/dQ_i = 1 + 2 lambda_reg sum_j (Q_i - Q_j)`` over the neighbouring pairs j.
+    """
+    total = energies[..., :-1, :] + energies[..., 1:, :]
+    least = total.min(axis=-1, keepdims=True)
+    terms = np.exp((least - total) / options.alpha)
+    mass = terms.sum(axis=-1, keepdims=True)
+    scores = (least - options.alpha * np.log(mass))[..., 0]
+    steps = 2 * options.regularisation * np.diff(scores, axis=-1)
+    sensitivity = np.ones_like(scores)
+    sensitivity[..., 1:] += steps
+    sensitivity[..., :-1] -= steps
+    weighted = sensitivity[..., None] * terms / mass
+    derivative = np.zeros_like(energies)
+    derivative[..., :-1, :] += weighted
+    derivative[..., 1:, :] += weighted
+    return derivative
 
 
 def sequence_cost(energies: Any, options: CostOptions) -> Any:

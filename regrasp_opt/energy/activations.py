@@ -41,6 +41,20 @@ def activate(name: Activation, z: NDArray[Any]) -> NDArray[Any]:
     return np.where(z > 0, z * z.dtype.type(_SELU_SCALE), negative)
 
 
+def activate_with_slope(name: Activation, z: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return the activation of `z` and its first derivative, in its dtype."""
+    one = z.dtype.type(1)
+    if name == "tanh":
+        value = np.tanh(z)
+        return value, one - value * value
+    if name == "silu":
+        sigmoid = (one + np.tanh(z / 2)) / 2
+        return z * sigmoid, sigmoid * (one + z * (one - sigmoid))
+    value = activate(name, z.copy())
+    scale, shift = z.dtype.type(_SELU_SCALE), z.dtype.type(_SELU_SCALE * _SELU_ALPHA)
+    return value, np.where(z > 0, scale, value + shift)
+
+
 def casadi_activation(name: Activation, z: Any) -> Derivatives:
     """Return the activation of the CasADi expression `z` and its derivatives as CasADi expressions."""
     if name == "tanh":

@@ -133,13 +133,9 @@ def _distance(points: FloatArray, box: FloatArray) -> FloatArray:
 
 def _inside(shape: Box | Cylinder, points: FloatArray) -> BoolArray:
     """Return which `points` (..., 3), in the frame of `shape`, lie in it."""
-    found: BoolArray
     if isinstance(shape, Box):
-        found = (np.abs(points) < shape.size / 2).all(axis=-1)
-    else:
-        found = np.hypot(points[..., 0], points[..., 1]) < shape.radius
-        found &= np.abs(points[..., 2]) < shape.length / 2
-    return found
+        return np.asarray((np.abs(points) < shape.size / 2).all(axis=-1))
+    return (np.abs(points[..., 2]) < shape.length / 2) & (np.hypot(points[..., 0], points[..., 1]) < shape.radius)
 
 
 def _grid(shape: Shape) -> FloatArray:

@@ -111,7 +111,7 @@ class RegraspProblem(ProblemData):
             raise GraspError(
                 f"'{body.name}' has no stable placement on a table, so it cannot be planned; check its shape and scale"
             )
-        file = None if model is None or Path(model).is_dir() else Path(model)
+        file = Path(model) if model is not None and Path(model).is_file() else None
         if file is not None:
             load_arm_energy(file, workcell)
         folder = find_model(body, workcell, None if model is None else Path(model)) if file is None else None

@@ -1,7 +1,7 @@
 """Recipes: which refiner, from which start points, accepted by which check.
 
-``ipopt`` starts from lattice chains, which measured better than sampled starts at a fraction of their cost;
-``langevin-ipopt`` starts from the best of a short Langevin run instead. ``langevin`` is the paper's optimiser with hard
+``ipopt`` starts from samples of a short annealed Langevin run, which begins at the best lattice chains;
+``langevin-ipopt`` from the best of a Langevin run that begins anywhere. ``langevin`` is the paper's optimiser with hard
 checks, ``paper`` its Algorithms 1 and 2 as they stand, which accept by the threshold `h` alone.
 """
 
@@ -50,6 +50,8 @@ class Recipe:
         Candidates of a batch that are checked at most, the cheapest first (``K_top`` of Alg. 2).
     fallback : int
         Lattice chains that are checked as they are, if no refined candidate was accepted.
+    warm : LangevinRefiner, optional
+        Improves all start points together, before any of them is refined.
     check : {"verification", "threshold"}
         Accept the first candidate that is verified; or, as the paper does, the cheapest that passes the energy
         threshold `h` (Alg. 2), which is then verified once: if that fails there is no plan.
@@ -65,6 +67,7 @@ class Recipe:
     fallback: int = VERIFIED_CHAINS
     check: Literal["verification", "threshold"] = "verification"
     knowledge: Literal["exact", "learned"] = "exact"
+    warm: LangevinRefiner | None = None
     proved: InitVar[int | None] = None  # the name of `verified` until 0.1; goes with 0.3
 
     def __post_init__(self, proved: int | None) -> None:
@@ -72,6 +75,11 @@ class Recipe:
             object.__setattr__(self, "verified", proved)
         if not self.batches or min(self.batches) < 1 or self.verified < 1 or self.fallback < 0:
             raise OptionError("a recipe needs batches and verified of at least 1, and a fallback of at least 0")
+
+    @property
+    def stages(self) -> list[str]:
+        """The stages by name: where sequences begin, what warms them up, and what refines them."""
+        return [self.starts, *([] if self.warm is None else [self.warm.name]), self.refiner.name]
 
     def start_points(
         self,
@@ -91,6 +99,18 @@ class Recipe:
             N, the number of intermediate poses.
         rng : Generator
         """
+        points = self._start_points(lattice, objective, num_regrasps, rng)
+        if self.warm is None or not len(points):
+            return points
+        return self.warm.refine(objective, points, rng).candidates.best(len(points))
+
+    def _start_points(
+        self,
+        lattice: Callable[[], PoseLattice],
+        objective: SequenceObjective,
+        num_regrasps: int,
+        rng: np.random.Generator,
+    ) -> Candidates:
         wanted = sum(self.batches)
         if self.starts == "lattice":
             return lattice_starts(lattice(), objective, num_regrasps, wanted, rng)
@@ -113,8 +133,11 @@ def paper_recipe(k_top: int) -> Recipe:
     )
 
 
+ANNEALING = LangevinRefiner(iterations=10, eta=0.1, tau=0.01, anneal=True, device="numpy")
+"""The short run that warms up the start points of Ipopt."""
+
 RECIPES: dict[str, Callable[[], Recipe]] = {
-    "ipopt": lambda: Recipe(NlpRefiner()),
+    "ipopt": lambda: Recipe(NlpRefiner(), batches=(1, 1, 6), verified=8, warm=ANNEALING),
     "langevin-ipopt": lambda: Recipe(NlpRefiner(), starts="langevin", fallback=0),
     "lattice": lambda: Recipe(LatticeRefiner(), batches=(VERIFIED_CHAINS,), verified=VERIFIED_CHAINS, fallback=0),
     "langevin": lambda: Recipe(LangevinRefiner(), starts="random", batches=(1000,), verified=50, fallback=0),

@@ -196,7 +196,8 @@ class _Search:
                 break
             with self.clock.timed("refine"):
                 refined = recipe.refiner.refine(objective, starts, rng)
-            entry = {"num_regrasps": num_regrasps, "refiner": recipe.refiner.name, **refined.stats}
+            told = {"num_regrasps": num_regrasps, "refiner": recipe.refiner.name, "stages": recipe.stages}
+            entry = {**told, **refined.stats}
             self.stats.append(entry)
             ranked = refined.candidates.best(recipe.verified)
             if len(ranked) and (self.cheapest is None or ranked.cost[0] < self.cheapest.cost[0]):

@@ -196,7 +196,7 @@ def test_version(capsys):
         (("plan", "extra"), "extra"),
         (("plan", "--out", ""), "an argument is empty"),
         (("plan", "--start="), "an argument is empty"),
-        (("prepare",), "OBJECT"),
+        (("prepare",), "WORKCELL"),
         (("prepare", "nova2-w", "--object", "mug", "--samples", "5"), "samples is 5"),
         (("prepare", "nova2-w", "--object", "mug", "--grasps", "0"), "num_grasps 0"),
         (("check",), "PLAN"),

@@ -75,7 +75,7 @@ def test_plots_alone_are_written_without_a_page(path, tmp_path, capsys):
 
 def test_plans_without_a_cost_or_a_pose_have_no_plots(path, bottle_problem, tmp_path):
     plan = RegraspPlan.load(path)
-    with pytest.raises(OptionError, match="needs a prepared model; run 'regrasp-opt prepare' first"):
+    with pytest.raises(OptionError, match="needs an energy; run 'regrasp-opt prepare WORKCELL' first"):
         write_plan_plots(replace(plan, problem=replace(plan.problem, model_folder=None)), None, tmp_path / "plots")
     direct = solve_sequence(bottle_problem, plan.poses[0], plan.poses[0])
     with pytest.raises(OptionError, match="no intermediate pose whose cost could be plotted"):

@@ -62,7 +62,7 @@ def test_prepare_writes_a_model_and_says_how_good_it_is(prepared):
         figures = report["held_out"][preset]
         assert 0.5 < figures["average_precision"] <= 1 and 0.3 < figures["f1"] <= 1
         assert np.isfinite(report["threshold"][preset])
-    assert "regrasp-opt prepare pentagon --workcell nova2-w" in report["command"]
+    assert "regrasp-opt prepare nova2-w --object pentagon" in report["command"]
     assert set(report["times"]) == {"grasps", "labelling", "training"}
     assert min(report["times"].values()) > 0 and sum(report["times"].values()) <= seconds
     assert told[0] == ("sampling grasps", 0, 1)
@@ -88,7 +88,7 @@ def test_by_default_a_model_is_kept_where_problems_find_it(tmp_path, monkeypatch
     monkeypatch.setenv("REGRASP_OPT_HOME", str(tmp_path))
     problem = RegraspProblem.load("pentagon", "nova2-r85")
     assert problem.model_folder is None
-    with pytest.raises(ModelError, match="regrasp-opt prepare pentagon --workcell nova2-r85"):
+    with pytest.raises(ModelError, match="regrasp-opt prepare nova2-r85 --object pentagon"):
         _ = problem.energy
     folder, _ = prepare(load_object("pentagon"), load_workcell("nova2-r85"), **SMALL)
     assert tmp_path in folder.parents
@@ -233,7 +233,7 @@ def test_bundled_models_are_whole_small_and_good(name):
     report = json.loads((folder / "report.json").read_text("utf-8"))
     assert report["held_out"]["default"]["average_precision"] >= 0.98
     assert report["held_out"]["paper"]["average_precision"] > 0.8
-    assert report["command"].startswith(f"regrasp-opt prepare {name} --workcell nova2-w")
+    assert report["command"].startswith(f"regrasp-opt prepare nova2-w --object {name}")
     assert len(problem.energy) == len(problem.grasps) == 200
 
 

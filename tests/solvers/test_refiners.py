@@ -24,6 +24,7 @@ from regrasp_opt.solvers import (
     lattice_starts,
     random_starts,
 )
+from regrasp_opt.solvers.landscape import NumPyLandscape, TorchLandscape
 
 BOUNDS = np.array([[-0.45, 0.1], [0.45, 0.6]])
 TARGET = np.array([0.1, 0.3])
@@ -100,11 +101,12 @@ def test_the_protocol_is_kept(refiner, num_regrasps, random_objective):
     np.testing.assert_array_equal(refined.xi, again.xi)
 
 
-def test_langevin_gradient_is_that_of_the_objective(random_objective):
+@pytest.mark.parametrize("device", ["cpu", "numpy"])
+def test_langevin_gradient_is_that_of_the_objective(random_objective, device):
     """One noiseless step is the gradient step on workspace-scaled parameters (Eq. 7)."""
     starts = random_starts(random_objective, 2, 4, np.random.default_rng(1))
     eta = 1e-3
-    moved = LangevinRefiner(1, eta=eta, tau=0.0, keep_best=False, device="cpu").refine(
+    moved = LangevinRefiner(1, eta=eta, tau=0.0, keep_best=False, device=device).refine(
         random_objective, starts, np.random.default_rng(0)
     )
     scale = np.array([0.45, 0.25, np.pi])
@@ -234,12 +236,15 @@ def test_each_candidate_has_a_status_and_a_trace(random_objective):
             assert trace[0] == pytest.approx(cost, abs=1e-4)
 
 
-@pytest.mark.parametrize("num_regrasps", [1, 2])
-def test_langevin_descends_the_objective_with_what_the_table_rules_out(random_objective, num_regrasps):
+def landscapes(objective, num_regrasps):
+    """Return the landscape of `objective` in torch and in NumPy."""
     import torch
 
-    from regrasp_opt.solvers.langevin import _Landscape
+    return [TorchLandscape(objective, num_regrasps, torch.device("cpu")), NumPyLandscape(objective, num_regrasps)]
 
+
+@pytest.mark.parametrize("num_regrasps", [1, 2, 3])
+def test_langevin_descends_the_objective_with_what_the_table_rules_out(random_objective, num_regrasps):
     rng = np.random.default_rng(8)
     point = rng.uniform(-0.2, 0.2, (3, 20, 2))
     point[rng.random((3, 20)) < 0.5] = np.nan
@@ -247,10 +252,27 @@ def test_langevin_descends_the_objective_with_what_the_table_rules_out(random_ob
     placements = rng.integers(3, size=(30, num_regrasps))
     xi = rng.uniform([-0.4, -0.4, -3.0], [0.4, 0.4, 3.0], (30, num_regrasps, 3))
     assert 0.05 < objective.ruled_out(placements, xi).mean() < 0.6
-    landscape = _Landscape(objective, num_regrasps, torch.device("cpu"))
-    cost = landscape.cost(torch.as_tensor(placements), landscape.scaled(xi)).numpy()
-    np.testing.assert_allclose(cost, objective.cost(placements, xi), rtol=2e-4, atol=2e-4)
-    assert not np.allclose(cost, random_objective.cost(placements, xi), atol=1e-2)
+    gradients = []
+    for landscape in landscapes(objective, num_regrasps):
+        cost, gradient = landscape(placements, xi, objective.ruled_out(placements, xi))
+        np.testing.assert_allclose(cost, objective.cost(placements, xi), rtol=2e-4, atol=2e-4)
+        assert not np.allclose(cost, random_objective.cost(placements, xi), atol=1e-2)
+        gradients.append(gradient)
+    np.testing.assert_allclose(*gradients, rtol=2e-3, atol=2e-3 * np.abs(gradients[0]).max())
+
+
+@pytest.mark.parametrize("activation", ["silu", "selu", "tanh"])
+@pytest.mark.parametrize(("bounded", "variant", "alpha"), [(True, "J", 1.0), (False, "J+", 0.7), (True, "J", 2.0)])
+def test_gradients_in_numpy_are_those_of_torch(random_objective, activation, bounded, variant, alpha):
+    energy = random_objective.energy
+    model = replace(energy.model, activation=activation, bounded=bounded)
+    options = CostOptions(alpha=alpha, variant=variant)
+    objective = replace(random_objective, energy=GraspEnergy(model, energy.grasps), options=options)
+    starts = random_starts(objective, 3, 20, np.random.default_rng(3))
+    nothing = np.zeros((20, 3, len(energy)), dtype=bool)
+    (cost, gradient), (same, other) = (f(starts.placements, starts.xi, nothing) for f in landscapes(objective, 3))
+    np.testing.assert_allclose(cost, same, rtol=1e-4, atol=1e-3)
+    np.testing.assert_allclose(gradient, other, rtol=5e-3, atol=2e-3 * np.abs(gradient).max())
 
 
 @pytest.mark.parametrize("refiner", REFINERS, ids=lambda r: r.name)
