@@ -13,13 +13,13 @@ import numpy as np
 from regrasp_opt.connectivity import CostOptions, SequenceObjective, TableRule
 from regrasp_opt.connectivity.embedding import ProblemEnergy
 from regrasp_opt.conventions import BoolArray, FloatArray, as_pose, planar_transform
-from regrasp_opt.errors import PoseError
+from regrasp_opt.errors import ModelError, PoseError
 from regrasp_opt.feasibility import FeasibilityChecker
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel, Placement
 from regrasp_opt.planning.arm_energy import find_arm_energy, load_arm_energy, train_arm_energy
 from regrasp_opt.planning.model_key import ModelKey
-from regrasp_opt.planning.model_store import load_prepared_energy
+from regrasp_opt.planning.model_store import command_arguments, load_prepared_energy
 from regrasp_opt.planning.rules import GraspRules
 from regrasp_opt.scene import Workcell
 from regrasp_opt.solvers import PoseLattice
@@ -72,12 +72,18 @@ class ProblemData:
         Raises
         ------
         ModelError
-            If a file is broken or belongs to something else, or no energy can be trained for the arm.
+            If a file is broken or belongs to something else, no energy can be trained for the arm, or the paper's
+            preset, which belongs to an object, was not prepared.
         """
         if self.base is not None:
             return self.base.energy
         if self.model_folder is not None:
             model = load_prepared_energy(self.model_folder, self.preset, ModelKey.of(self.object, self.workcell).id)
+        elif self.preset == "paper":
+            raise ModelError(
+                f"no model was prepared for '{self.object.name}' in workcell '{self.workcell.name}'; run "
+                f"'regrasp-opt prepare {command_arguments(self.object, self.workcell)}'"
+            )
         else:
             file = self.energy_file
             if file is None:

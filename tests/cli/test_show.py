@@ -73,8 +73,9 @@ def test_plots_alone_are_written_without_a_page(path, tmp_path, capsys):
     assert outcome.data == {"html": None, "plots": [str(tmp_path / "plots" / name) for name in names]}
 
 
-def test_plans_without_a_cost_or_a_pose_have_no_plots(path, bottle_problem, tmp_path):
+def test_plans_without_a_cost_or_a_pose_have_no_plots(path, bottle_problem, tmp_path, monkeypatch):
     plan = RegraspPlan.load(path)
+    monkeypatch.setattr("regrasp_opt.planning.problem_data.find_arm_energy", lambda _: None)
     with pytest.raises(OptionError, match="needs an energy; run 'regrasp-opt prepare WORKCELL' first"):
         write_plan_plots(replace(plan, problem=replace(plan.problem, model_folder=None)), None, tmp_path / "plots")
     direct = solve_sequence(bottle_problem, plan.poses[0], plan.poses[0])

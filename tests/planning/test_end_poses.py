@@ -1,5 +1,6 @@
 """Starts and goals that cannot be: each is refused with one sentence that says which end and what is wrong."""
 
+from dataclasses import replace
 from importlib.resources import files
 
 import numpy as np
@@ -117,8 +118,9 @@ def test_a_raised_table_raises_the_placements(tmp_path):
         solve_sequence(problem, GOOD, GOOD)
 
 
-def test_planning_without_a_prepared_model_says_how_to_make_one(tmp_path):
+def test_without_a_prepared_model_the_arms_energy_serves_and_the_papers_is_asked_for(tmp_path):
     problem = problem_with(tmp_path, BUILT_IN.replace("arm = 0.005", "arm = 0.006"))
-    with pytest.raises(RegraspError, match="regrasp-opt prepare bottle --workcell") as info:
-        _ = problem.energy
-    assert "cell.toml" in str(info.value) and "\n" not in str(info.value)
+    assert problem.model_folder is None and problem.energy.model.features == "arm"
+    with pytest.raises(RegraspError, match=r"regrasp-opt prepare \S*cell.toml --object bottle") as info:
+        _ = replace(problem, preset="paper").energy
+    assert "\n" not in str(info.value)

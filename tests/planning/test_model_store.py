@@ -89,7 +89,7 @@ def test_by_default_a_model_is_kept_where_problems_find_it(tmp_path, monkeypatch
     problem = RegraspProblem.load("pentagon", "nova2-r85")
     assert problem.model_folder is None
     with pytest.raises(ModelError, match="regrasp-opt prepare nova2-r85 --object pentagon"):
-        _ = problem.energy
+        _ = replace(problem, preset="paper").energy
     folder, _ = prepare(load_object("pentagon"), load_workcell("nova2-r85"), **SMALL)
     assert tmp_path in folder.parents
     again = RegraspProblem.load("pentagon", "nova2-r85")

@@ -234,12 +234,13 @@ def test_a_plan_with_another_end_effector_can_be_loaded_again(tmp_path, bottle_p
 def test_the_command_that_prepares_a_missing_model_says_all_that_differs(bottle_problem, tmp_path):
     path = tmp_path / "my bottle.stl"
     bottle_problem.object.mesh.export(path)
-    problem = RegraspProblem.load(path, "nova2-w", end_effector="r140", scale=0.9, repair=True)
+    cell = {"end_effector": "r140", "preset": "paper"}
+    problem = RegraspProblem.load(path, "nova2-w", scale=0.9, repair=True, **cell)
     with pytest.raises(ModelError) as info:
         _ = problem.energy
     command = str(info.value).split("run '", 1)[1].removesuffix("'")
-    words = ["--workcell", "nova2-w", "--end-effector", "r140", "--scale", "0.9", "--repair"]
-    assert shlex.split(command) == ["regrasp-opt", "prepare", str(path), *words]
+    words = ["nova2-w", "--end-effector", "r140", "--object", str(path), "--scale", "0.9", "--repair"]
+    assert shlex.split(command) == ["regrasp-opt", "prepare", *words]
 
 
 def test_an_unknown_preset_is_named():

@@ -1,0 +1,49 @@
+"""What obstacles rule out is infeasible by the exact check, and much of what they make infeasible is ruled out."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from regrasp_opt import RegraspProblem
+from regrasp_opt.conventions import planar_transform, translation
+from regrasp_opt.feasibility.dataset import random_poses
+from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh
+
+SPHERE = trimesh.creation.icosphere(2, 0.08)
+SHAPES = {
+    "box": Box("box", np.array([0.15, 0.1, 0.25]), translation(0.15, 0.35, 0.125)),
+    "cylinder": Cylinder("cylinder", 0.06, 0.3, translation(-0.15, 0.4, 0.15)),
+    "mesh": Mesh("mesh", np.array(SPHERE.vertices), np.array(SPHERE.faces), translation(0.0, 0.45, 0.1)),
+    "hanging": Box("hanging", np.array([0.5, 0.3, 0.05]), translation(0.0, 0.4, 0.32)),
+}
+
+
+@pytest.mark.parametrize("tool", ["nova2-w", "nova2-s1"])
+@pytest.mark.parametrize("name", SHAPES)
+def test_nothing_feasible_is_ruled_out_and_much_of_the_rest_is(tool, name):
+    base = RegraspProblem.load("mug", tool)
+    problem = base.with_obstacles([SHAPES[name]])
+    numbers, xi = random_poses(problem.placement_poses, problem.workcell.bounds.array, 80, np.random.default_rng(2))
+    T = planar_transform(xi) @ problem.placement_poses[numbers]
+    before, after = (np.array([each.feasible_grasps(pose) for pose in T]) for each in (base, problem))
+    ruled_out = problem.ruled_out(numbers, xi)
+    assert not (ruled_out & after).any()
+    lost = before & ~after
+    assert lost.sum() > 50 and (ruled_out & lost).sum() > 0.5 * lost.sum()
+    np.testing.assert_array_equal(base.ruled_out(numbers, xi), base.ruled_out(numbers, xi) & ruled_out)
+
+
+def test_only_candidates_are_asked_about():
+    problem = RegraspProblem.load("mug", "nova2-w").with_obstacles([SHAPES["box"]])
+    numbers, xi = np.array([0, 0]), np.array([[0.15, 0.27, 0.3], [-0.2, 0.3, 0.0]])
+    asked = np.zeros((2, len(problem.grasps)), dtype=bool)
+    asked[0, ::2] = True
+    found = problem.rules.behind_obstacles(numbers, xi, asked)
+    everything = problem.rules.behind_obstacles(numbers, xi, np.ones_like(asked))
+    assert everything[0].any() and not everything[1].any()
+    np.testing.assert_array_equal(found[0], everything[0] & asked[0])
+
+
+def test_where_the_object_is_in_an_obstacle_every_grasp_is_ruled_out():
+    problem = RegraspProblem.load("mug", "nova2-w").with_obstacles([SHAPES["box"]])
+    assert problem.ruled_out(np.array([0]), np.array([[0.15, 0.35, 0.0]])).all()
