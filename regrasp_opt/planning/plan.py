@@ -25,8 +25,8 @@ class RegraspPlan(PlanData):
         Numbers into ``problem.placements`` of the intermediate poses.
     xi : (N, 3) float64
         Their planar parameters (x, y, theta) [m, m, rad] (Eq. 6).
-    transitions : tuple of Transition
-        N+1 of them; empty without a plan.
+    transitions : sequence of Transition
+        N+1 of them, each enumerated when it is first looked at; empty without a plan.
     cost : float
         ``J_seq`` (Eq. 5), with exact feasibility at both ends unless the recipe asks for learned energies; NaN without
         a plan.

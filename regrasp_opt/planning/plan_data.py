@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
@@ -51,7 +52,7 @@ class PlanData:
     poses: FloatArray
     placements: IntArray
     xi: FloatArray
-    transitions: tuple[Transition, ...]
+    transitions: Sequence[Transition]
     cost: float
     timings: dict[str, float]
     refiner_stats: list[dict[str, Any]]

@@ -7,7 +7,6 @@ are before N grows.
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -25,7 +24,7 @@ from regrasp_opt.planning.plan import RegraspPlan
 from regrasp_opt.planning.plan_data import Status
 from regrasp_opt.planning.problem import RegraspProblem
 from regrasp_opt.planning.recipes import EXACT, Recipe, as_recipe
-from regrasp_opt.planning.verification import PoseFeasibility, enumerate_transition, verify_sequence
+from regrasp_opt.planning.verification import LazyTransitions, PoseFeasibility, verify_sequence
 from regrasp_opt.solvers import Candidates, LatticeRefiner, Refiner, lattice_starts
 from regrasp_opt.threads import one_blas_thread
 
@@ -323,20 +322,16 @@ class _Search:
         placements: Any = (),
         xi: Any = (),
     ) -> RegraspPlan:
-        """Return the plan, its transitions enumerated if it is solved."""
+        """Return the plan; the transitions of a solved one are enumerated when they are looked at."""
         chain = chain or self.ends
-        transitions = []
-        if status is Status.SOLVED:
-            with self.clock.timed("transitions"):
-                pairs = itertools.pairwise(chain)
-                transitions = [enumerate_transition(self.problem.checker, a, b) for a, b in pairs]
+        solved = status is Status.SOLVED
         poses: FloatArray = np.array([knowledge.T for knowledge in chain])
         return RegraspPlan(
             status=status,
             poses=poses,
             placements=np.array(placements, dtype=np.int64),
             xi=np.array(xi, dtype=np.float64).reshape(-1, 3),
-            transitions=tuple(transitions),
+            transitions=LazyTransitions(self.problem.checker, chain) if solved else (),
             cost=cost,
             timings=self.clock.report(),
             refiner_stats=self.stats,

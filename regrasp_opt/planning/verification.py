@@ -1,14 +1,16 @@
 """Hard verification: what turns a promising sequence of poses into a plan.
 
 `PoseFeasibility` remembers the exact checks of one pose, so that no (pose, grasp) pair is checked twice. A transition
-is verified with as few checks as possible, the most promising grasps first; only the accepted plan has all of its
-shared grasps enumerated, with the joint configurations to pick and place them.
+is verified with as few checks as possible, the most promising grasps first; all of its shared grasps are enumerated,
+with the joint configurations to pick and place them, when somebody looks at it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Sequence
 from functools import cache, cached_property
+from typing import overload
 
 import numpy as np
 
@@ -93,6 +95,34 @@ def enumerate_transition(checker: FeasibilityChecker, a: PoseFeasibility, b: Pos
         np.array(places, dtype=np.float64).reshape(shape),
         np.array(clearances, dtype=np.float64),
     )
+
+
+class LazyTransitions(Sequence[Transition]):
+    """The transitions of a verified chain of poses, each enumerated when somebody looks at it."""
+
+    def __init__(self, checker: FeasibilityChecker, chain: Sequence[PoseFeasibility]) -> None:
+        self._checker, self._chain = checker, tuple(chain)
+        self._found: list[Transition | None] = [None] * (len(chain) - 1)
+        self._lock = threading.Lock()
+
+    def __len__(self) -> int:
+        return len(self._found)
+
+    @overload
+    def __getitem__(self, index: int) -> Transition: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Transition, ...]: ...
+    def __getitem__(self, index: int | slice) -> Transition | tuple[Transition, ...]:
+        if isinstance(index, slice):
+            return tuple(self[i] for i in range(len(self))[index])
+        number = range(len(self))[index]
+        with self._lock:
+            found = self._found[number] or enumerate_transition(self._checker, *self._chain[number : number + 2])
+            self._found[number] = found
+        return found
+
+    def __reduce__(self) -> tuple[type[tuple[Transition, ...]], tuple[tuple[Transition, ...]]]:
+        return tuple, (tuple(self),)
 
 
 class _Branches:
