@@ -5,7 +5,7 @@ from oracles.files import Cell, Shape, Tool, read_urdf
 from oracles.motions import MotionVerifier
 from oracles.plans import TOLERANCE, PlanVerifier
 
-from regrasp_opt.motion.trajectory.motion_file import motion_content
+from regrasp_opt.motion.trajectory.motion_plan import motion_content
 from regrasp_opt.planning.plan_file import plan_content
 
 

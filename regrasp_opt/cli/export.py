@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from regrasp_opt.energy.export import SUFFIXES, export_energy
+from regrasp_opt.energy.export import EXPORTERS, SUFFIXES
 from regrasp_opt.energy.model import GraspEnergy
 from regrasp_opt.errors import UnknownNameError
 from regrasp_opt.planning.model_store import (
@@ -27,7 +27,7 @@ def run_export(model: Path, to: str, out: Path | None, *, as_json: bool) -> int:
         load_prepared_energy(folder, "default", read_report(folder)["key"]), load_prepared_grasps(folder)
     )
     path = out or Path(f"{folder.resolve().name}{SUFFIXES[to]}")
-    export_energy(energy, to, path)
+    EXPORTERS[to](energy, path)
     if as_json:
         print(json.dumps({"model": str(folder), "format": to, "grasps": len(energy), "path": str(path)}))
     else:

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from regrasp_opt.cli.output import make_console, working
 from regrasp_opt.motion import MotionOptions, MotionPlan, plan_motion
-from regrasp_opt.motion.trajectory.motion_file import check_step
+from regrasp_opt.motion.trajectory.motion_plan import check_step
 from regrasp_opt.motion.trajectory.scene_export import save_scene
 from regrasp_opt.planning import RegraspPlan
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from itertools import count
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -127,10 +126,9 @@ class _Onnx:
         return self._node("Softplus", [f], "bounded")
 
 
-EXPORTERS = {"casadi": export_casadi, "c": export_c, "onnx": export_onnx}
+EXPORTERS = {
+    "casadi": export_casadi,
+    "c": export_c,
+    "onnx": export_onnx,
+}
 SUFFIXES = {"casadi": ".casadi", "c": ".c", "onnx": ".onnx"}
-
-
-def export_energy(energy: GraspEnergy, to: str, path: Path) -> None:
-    """Write `energy` in format `to` ("casadi", "c" or "onnx")."""
-    EXPORTERS[to](energy, path)

@@ -184,22 +184,9 @@ class Solid:
         corners = self.shells.triangles.reshape(-1, 3)
         return np.array([corners.min(axis=0), corners.max(axis=0)]) if len(corners) else None
 
-    @cached_property
-    def volume(self) -> float:
-        """How much material there is [m^3]; 0 for a mesh that is open."""
-        if self.is_mesh:
-            return float(np.linalg.det(self.shells.triangles).sum() / 6)
-        return float(self.geometry.computeVolume())
-
     def may_hold(self, other: Solid) -> bool:
-        """Return whether `other` is small enough to be inside, or has a part that may be."""
-        if self.bounds is None or len(other.shells.points) == 0:
-            return False
-        if len(other.shells.points) > 1:
-            return True
-        mine, size = np.ptp(self.bounds, axis=0), np.ptp(other.box, axis=0)
-        thin = not other.is_mesh and size.min() > mine.min()  # primitives are as thick as their boxes
-        return not thin and bool(size.max() <= np.linalg.norm(mine) and other.volume <= self.volume)
+        """Return whether there is an inside, and anything that could be in it."""
+        return self.bounds is not None and len(other.shells.points) > 0
 
     def holds(self, points: FloatArray) -> bool:
         """Return whether any of the `points` (N, 3) is inside a closed part."""

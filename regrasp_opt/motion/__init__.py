@@ -7,8 +7,7 @@ from regrasp_opt.motion.refinement.refine import JointResult, refine_plan
 from regrasp_opt.motion.refinement.search import SearchOptions
 from regrasp_opt.motion.trajectory.motion_plan import MotionPlan
 from regrasp_opt.motion.trajectory.options import MotionOptions
-from regrasp_opt.motion.trajectory.planner import plan_motion
-from regrasp_opt.motion.trajectory.together import plan_with_motion
+from regrasp_opt.motion.trajectory.planner import plan_motion, plan_with_motion
 from regrasp_opt.motion.trajectory.trajectory import Trajectory
 
 Bounds = MeasureBounds  # its name until 0.1; goes with 0.3

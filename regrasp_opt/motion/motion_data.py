@@ -1,15 +1,11 @@
-"""What a motion plan holds: what the arm and the jaw do, one segment after the other, to carry out a regrasp plan."""
+"""What the arm and the jaw do, one segment after the other, to carry out a regrasp plan."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
 
-import numpy as np
-
-from regrasp_opt.conventions import FloatArray
 from regrasp_opt.motion.trajectory.trajectory import Trajectory
-from regrasp_opt.planning import RegraspPlan
 
 
 class Phase(Enum):
@@ -68,32 +64,3 @@ class Segment:
     grasp_id: int
     trajectory: Trajectory
     jaw: tuple[float, float]
-
-
-@dataclass(frozen=True, eq=False)
-class MotionData:
-    """The fields of a `MotionPlan`, and what follows from them."""
-
-    status: MotionStatus
-    reason: str
-    plan: RegraspPlan
-    segments: tuple[Segment, ...]
-    velocity_limits: FloatArray
-    acceleration_limits: FloatArray
-    seconds: float
-
-    @property
-    def solved(self) -> bool:
-        """Whether the status is SOLVED."""
-        return self.status is MotionStatus.SOLVED
-
-    @property
-    def duration(self) -> float:
-        """How long the motion takes [s]."""
-        return float(sum(segment.trajectory.duration for segment in self.segments))
-
-    @property
-    def starts(self) -> FloatArray:
-        """When each segment begins (S,) [s]."""
-        durations = [segment.trajectory.duration for segment in self.segments]
-        return np.concatenate([[0.0], np.cumsum(durations)])[:-1] if durations else np.zeros(0)

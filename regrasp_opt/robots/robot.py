@@ -17,6 +17,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from regrasp_opt.conventions import JOINT_LIMIT_TOLERANCE, BoolArray, FloatArray
+from regrasp_opt.errors import OptionError
 from regrasp_opt.files import content_hash
 from regrasp_opt.geometry.shapes import geometry_parts
 from regrasp_opt.robots.analytic import AnalyticIk
@@ -146,6 +147,24 @@ class Robot:
         q = np.asarray(q, dtype=np.float64)
         low, high = self.lower - JOINT_LIMIT_TOLERANCE, self.upper + JOINT_LIMIT_TOLERANCE
         return bool(((q >= low) & (q <= high)).all())
+
+    def configuration(self, q: ArrayLike, name: str) -> FloatArray:
+        """Return `q`, which a message calls `name`, as an array (dof,).
+
+        Raises
+        ------
+        OptionError
+            If it is not a configuration within the joint limits.
+        """
+        try:
+            found = np.array(q, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise OptionError(f"{name} must be {self.dof} joint values") from error
+        if found.shape != (self.dof,) or not self.within_limits(found):
+            raise OptionError(
+                f"{name} is {np.round(found, 3).tolist()}; give {self.dof} joint values within their limits"
+            )
+        return found
 
     def link_of(self, geometry: int) -> str:
         """Return the name of the link that carries the collision body of index `geometry`."""

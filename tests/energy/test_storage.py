@@ -12,7 +12,7 @@ from safetensors.numpy import load_file, save_file
 from transforms import random_transforms
 
 from regrasp_opt.energy.activations import ACTIVATIONS
-from regrasp_opt.energy.export import EXPORTERS, SUFFIXES, export_energy
+from regrasp_opt.energy.export import EXPORTERS, SUFFIXES
 from regrasp_opt.energy.storage import load_energy, save_energy
 from regrasp_opt.errors import ModelError
 
@@ -99,7 +99,7 @@ def test_exported_energies_are_the_same(make_energy, tmp_path, to, activation, f
     energy = make_energy(activation=activation, features=features, bounded=bounded, use_width=bounded)
     poses = random_transforms(np.random.default_rng(7), 4)
     path = tmp_path / f"energy{SUFFIXES[to]}"
-    export_energy(energy, to, path)
+    EXPORTERS[to](energy, path)
     if to == "casadi":
         function = ca.Function.load(str(path))
         assert (function.name(), function.name_in(), function.name_out()) == ("energy", ["T"], ["E"])
@@ -112,7 +112,7 @@ def test_exported_energies_are_the_same(make_energy, tmp_path, to, activation, f
 
 
 def test_exported_c_is_a_function_of_that_name(make_energy, tmp_path):
-    export_energy(make_energy(), "c", tmp_path / "energy.c")
+    EXPORTERS["c"](make_energy(), tmp_path / "energy.c")
     source = (tmp_path / "energy.c").read_text("utf-8")
     assert "int energy(const casadi_real** arg" in source and "dgemm" not in source
     assert EXPORTERS.keys() == SUFFIXES.keys()

@@ -79,4 +79,4 @@ def test_motions_inside_a_closed_mesh_are_refused(bottle_plan, room, holds):
     for setting in (scene.beside(bottle_plan.poses[0], (0.06, 0.08)), scene.holding(grasp_id)):
         assert [setting.passes(q, level) for level in (0, 9)] == [holds, holds]
         move = Trajectory(np.array([0.0, 1.0]), np.array([q, q + 0.02]), np.zeros((2, len(q))))
-        assert verify(setting, move).holds == holds
+        assert verify(setting, move) == holds

@@ -9,42 +9,41 @@ from transforms import IN_THE_BASE
 from regrasp_opt.errors import OptionError
 from regrasp_opt.motion import MeasureBounds, SearchOptions, refine_plan
 from regrasp_opt.motion.refinement import search as joint_search
+from regrasp_opt.motion.refinement.candidates import CandidateCheck, first_choice
 from regrasp_opt.motion.refinement.choice import States, unreachable
-from regrasp_opt.motion.refinement.measures import first_choice
-from regrasp_opt.motion.refinement.search import JointSearch
 
 SHORT = SearchOptions(starts=1, rounds=1)
 
 
 @pytest.fixture
-def search(bottle_plan):
-    return JointSearch(bottle_plan, "travel", MeasureBounds(), None, SHORT)
+def check(bottle_plan):
+    return CandidateCheck(bottle_plan, MeasureBounds())
 
 
-def test_the_plans_own_choice_is_verified(search, bottle_plan):
-    found = search._candidate(bottle_plan.xi, first_choice(bottle_plan))
-    assert found is not None and search.problem_found == "" and found.measures.clearance > 0
+def test_the_plans_own_choice_is_verified(check, bottle_plan):
+    found = check.candidate(bottle_plan.xi, first_choice(bottle_plan))
+    assert found is not None and check.refused == "" and found.measures.clearance > 0
 
 
-def test_poses_that_cannot_be_are_named(search, bottle_plan):
+def test_poses_that_cannot_be_are_named(check, bottle_plan):
     choice = first_choice(bottle_plan)
-    assert search._candidate(bottle_plan.xi + 5.0, choice) is None
-    assert search.problem_found == "a pose lies outside the workspace"
-    assert search._candidate(IN_THE_BASE[None], choice) is None
-    assert search.problem_found == "pose 1: the object is too near to an obstacle, the base or the table's edge"
+    assert check.candidate(bottle_plan.xi + 5.0, choice) is None
+    assert check.refused == "a pose lies outside the workspace"
+    assert check.candidate(IN_THE_BASE[None], choice) is None
+    assert check.refused == "pose 1: the object is too near to an obstacle, the base or the table's edge"
 
 
-def test_configurations_that_cannot_be_are_named(search, bottle_plan):
+def test_configurations_that_cannot_be_are_named(check, bottle_plan):
     choice = first_choice(bottle_plan)
     robot = bottle_plan.problem.workcell.robot
     q = choice.q.copy()
     q[0, 1] = robot.upper + 0.25 * np.eye(6)[2]
-    assert search._candidate(bottle_plan.xi, replace(choice, q=q)) is None
-    assert search.problem_found == "transition 0, place: a joint is 0.25 rad beyond its limit"
+    assert check.candidate(bottle_plan.xi, replace(choice, q=q)) is None
+    assert check.refused == "transition 0, place: a joint is 0.25 rad beyond its limit"
     q = choice.q.copy()
     q[1, 0] = [0.0, 2.0, 0.5, 0.0, 0.0, 0.0]  # through the table
-    assert search._candidate(bottle_plan.xi, replace(choice, q=q)) is None
-    assert search.problem_found == "transition 1, pick: bodies are nearer than their clearance"
+    assert check.candidate(bottle_plan.xi, replace(choice, q=q)) is None
+    assert check.refused == "transition 1, pick: bodies are nearer than their clearance"
 
 
 def test_a_configuration_that_cannot_be_put_on_its_grasp_leaves_the_poses_and_is_named(bottle_plan, monkeypatch):

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from regrasp_opt.errors import OptionError, PlanFileError
-from regrasp_opt.motion import MotionPlan, MotionStatus
+from regrasp_opt.motion import MotionPlan, MotionStatus, Phase
 from regrasp_opt.motion.trajectory import motion_file as module
 
 DOCS = Path(__file__).parents[2] / "docs" / "motion.md"
@@ -45,8 +45,8 @@ def broken(content, change):
 FAULTS = {
     "schema": lambda c: c.update(schema=2),
     "not a motion": lambda c: c.update(kind="plan"),
-    "unknown status": lambda c: c.update(status="done"),
-    "unknown phase": lambda c: c["segments"][0].update(phase="dance"),
+    "key 'status': should be one of solved": lambda c: c.update(status="done"),
+    "key 'segments.0.phase': should be one of reach": lambda c: c["segments"][0].update(phase="dance"),
     "segments.0.jaw": lambda c: c["segments"][0].update(jaw=[0.1]),
     "do not fit its times": lambda c: c["segments"][1]["positions"].pop(),
     "do not ascend": lambda c: c["segments"][1]["times"].__setitem__(1, 0.0),
@@ -80,11 +80,11 @@ def test_no_file_and_no_json_are_refused(tmp_path):
 
 def test_every_key_is_documented():
     text = DOCS.read_text("utf-8")
-    for record in (module._File, module._Segment):
+    for record in (module.MotionFile, module.SegmentSection):
         for name, field in record.model_fields.items():
             assert f"`{field.alias or name}`" in text, name
-    for names in (module._PHASES, module._STATUSES):
-        assert all(f"`{name}`" in text for name in names)
+    for kind in (Phase, MotionStatus):
+        assert all(f"`{member.name.lower()}`" in text for member in kind)
 
 
 def test_the_csv_holds_the_trajectories(motion, tmp_path):
@@ -99,7 +99,7 @@ def test_the_csv_holds_the_trajectories(motion, tmp_path):
     assert t[0] == 0 and t[-1] == pytest.approx(motion.duration, abs=1e-6)
     assert np.allclose(np.diff(t)[:-1], 0.02, atol=1e-6) and 0 < np.diff(t)[-1] < 0.0301
     for row, start, segment in zip(rows, t, q, strict=True):
-        assert row["phase"] in module._PHASES and np.isfinite(start) and segment.shape == (6,)
+        assert Phase[row["phase"].upper()] and np.isfinite(start) and segment.shape == (6,)
     # integrating the velocities gives the positions
     assert np.allclose(q[0] + np.cumsum((v[1:] + v[:-1]) / 2 * np.diff(t)[:, None], axis=0), q[1:], atol=2e-3)
     assert {row["phase"] for row in rows} == {s.phase.name.lower() for s in motion.segments}

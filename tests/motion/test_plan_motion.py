@@ -12,7 +12,7 @@ from regrasp_opt.errors import OptionError
 from regrasp_opt.geometry.shapes import Box
 from regrasp_opt.motion import MotionOptions, MotionStatus, Phase, plan_motion, plan_with_motion
 from regrasp_opt.motion.trajectory import connector as connections
-from regrasp_opt.motion.trajectory import together as together_module
+from regrasp_opt.motion.trajectory import planner
 from regrasp_opt.motion.trajectory.connector import Connector
 from regrasp_opt.solvers import LatticeRefiner
 
@@ -96,6 +96,7 @@ def test_an_obstacle_that_appears_after_the_plan_is_not_run_into(bottle_plan):
         ({"distances": (2.0,)}, "distances"),
         ({"candidates": 0}, "candidates"),
         ({"iterations": 1.5}, "iterations"),
+        ({"jaw_time": 0.0}, "jaw_time"),
         ({"seed": -1}, "seed"),
         ({"acceleration": -1.0}, "acceleration"),
         ({"acceleration": 1e-320}, "acceleration"),
@@ -141,7 +142,7 @@ def test_poses_and_motion_together(bottle_plan, monkeypatch):
             return found
         return replace(found, status=MotionStatus.NO_MOTION, reason="too lazy", segments=())
 
-    monkeypatch.setattr(together_module, "plan_motion", second_only)
+    monkeypatch.setattr(planner, "plan_motion", second_only)
     start, goal = bottle_plan.poses[[0, -1]]
     motion = plan_with_motion(bottle_plan.problem, start, goal)
     assert motion.solved and len(tried) == 2
@@ -153,7 +154,7 @@ def test_together_says_what_was_in_the_way(bottle_plan, monkeypatch):
         found = plan_motion(replace(plan, status=Status.NOT_FOUND), options)
         return replace(found, status=MotionStatus.NO_MOTION, reason=f"cost {plan.cost:.3f}", plan=plan)
 
-    monkeypatch.setattr(together_module, "plan_motion", never)
+    monkeypatch.setattr(planner, "plan_motion", never)
     start, goal = bottle_plan.poses[[0, -1]]
     motion = plan_with_motion(bottle_plan.problem, start, goal, refiner=FEW, max_regrasps=1)
     assert motion.status is MotionStatus.NO_MOTION
@@ -197,8 +198,9 @@ def test_only_lines_that_cannot_be_straight_are_tilted(bottle_plan, monkeypatch)
         return None if at_pick and direction[2] > 0.99 else original(robot, q, direction, length)
 
     monkeypatch.setattr(connections, "line", no_lift)
-    motion = plan_motion(bottle_plan, MotionOptions(home=None, candidates=6, optimise=False))
+    motion = plan_motion(bottle_plan, MotionOptions(home=None, candidates=6, jaw_time=1.5, optimise=False))
     assert motion.solved, motion.reason
+    assert {s.trajectory.duration for s in motion.segments if s.phase in (Phase.GRASP, Phase.RELEASE)} == {1.5}
 
     def rise(phase):
         (q,) = (s.trajectory.positions for s in motion.segments if s.phase is phase and s.transition == 0)

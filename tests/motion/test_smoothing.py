@@ -95,10 +95,10 @@ def test_what_cannot_be_verified_stays_as_it_was(bottle_plan, stopping, monkeypa
     """Only the motions of the optimisation are refused: they come last."""
     original = planner.shortened
 
-    def refusing(plan, scene, connector, segments):
+    def refusing(connector, legs):
         with monkeypatch.context() as inside:
             inside.setattr(Connector, "accepted", lambda *_: False)
-            return original(plan, scene, connector, segments)
+            return original(connector, legs)
 
     monkeypatch.setattr(planner, "shortened", refusing)
     motion = plan_motion(bottle_plan)

@@ -109,11 +109,7 @@ def _displacement(d: Any) -> Any:
 
 def displaced(T: FloatArray, d: FloatArray) -> FloatArray:
     """Return the tool pose (4, 4) that one step (6,) leads to from `T`."""
-    s = d * STEP
-    D = np.eye(4)
-    D[:3, :3] = Rotation.from_quat([*(s[3:] / 2), 1.0]).as_matrix()
-    D[:3, 3] = s[:3]
-    moved: FloatArray = T @ D
+    moved: FloatArray = T @ np.array(_displacement(ca.DM(d)))
     return moved
 
 

@@ -69,23 +69,18 @@ def covering_capsule(name: str, geometry: Any) -> Capsule:
     if isinstance(geometry, (coal.Capsule, coal.Cylinder)):
         end = np.array([0.0, 0.0, geometry.halfLength])
         return Capsule(name, -end, end, float(geometry.radius), 2 * float(geometry.halfLength))
-    center, half = _box_around(geometry)
+    geometry.computeLocalAABB()
+    low, high = np.array(geometry.aabb_local.min_), np.array(geometry.aabb_local.max_)
+    center, half = (low + high) / 2, (high - low) / 2
     longest = int(np.argmax(half))
     end = np.where(np.arange(3) == longest, half, 0.0)
     radius = float(np.linalg.norm(np.delete(half, longest)))
     return Capsule(name, center - end, center + end, radius, 2 * float(half[longest]))
 
 
-def _box_around(geometry: Any) -> tuple[FloatArray, FloatArray]:
-    """Return centre and half edge lengths (3,) of the box around a Coal geometry, along the axes of its frame."""
-    geometry.computeLocalAABB()
-    low, high = np.array(geometry.aabb_local.min_), np.array(geometry.aabb_local.max_)
-    return (low + high) / 2, (high - low) / 2
-
-
 def configuration_rows(problem: RegraspProblem) -> Rows:
     """Return the distances of arm and gripper, a function of ``q`` (dof,), ``T`` (4, 4) T_world_object, ``width``."""
-    arm, world = problem.workcell.arm, CollisionWorld(problem.workcell, problem.object)
+    arm, world = problem.workcell.arm, problem.checker.world
     q, T, width = ca.SX.sym("q", arm.robot.dof), ca.SX.sym("T", 4, 4), ca.SX.sym("width")
     T_world_base = ca.SX(ca.DM(arm.T_world_base))
     T_joint = [T_world_base @ placement for placement in joint_placements(arm.robot.model, q)]
@@ -101,37 +96,36 @@ def configuration_rows(problem: RegraspProblem) -> Rows:
         capsules[i] = capsule.moved(T_joint[joint]) if joint else capsule
     capsules[world.object] = _capsule(world.bodies[world.object]).moved(T)
 
-    rows: list[tuple[Any, str, bool, float]] = []
-    for i, j, needed in world.pairs(ContactPhase.GRASP):
-        body, other = capsules[i], world.bodies[j]
-        if j in world.supports:
-            height = problem.workcell.supports[world.supports.index(j)].height
-            distances = [end[2] - body.radius - height for end in (body.a, body.b)] if i in world.moving else []
-        elif j in world.surroundings and j != world.object:
-            distances = _to_obstacle(body, other)
-        else:
-            distances = [_between(body, capsules[j])]
-        rows += [(distance, f"{body.name} and {other.name}", j in world.surroundings, needed) for distance in distances]
-    return _rows("clearances", [q, T, width], ["q", "T", "width"], rows)
+    return _rows(world, ContactPhase.GRASP, capsules, {"q": q, "T": T, "width": width})
 
 
 def object_rows(problem: RegraspProblem) -> Rows:
     """Return the distances of the object to obstacles and the robot's base, a function of ``T`` (4, 4)."""
-    world, T = CollisionWorld(problem.workcell, problem.object), ca.SX.sym("T", 4, 4)
-    held = _capsule(world.bodies[world.object]).moved(T)
-    rows = []
-    for _, j, needed in world.pairs(ContactPhase.REST):
-        body = world.bodies[j]
-        distances = _to_obstacle(held, body) if j in world.surroundings else [_between(held, _capsule(body))]
-        rows += [(distance, f"object and {body.name}", False, needed) for distance in distances]
-    return _rows("object_clearances", [T], ["T"], rows)
+    world, T = problem.checker.world, ca.SX.sym("T", 4, 4)
+    capsules = {i: _capsule(world.bodies[i]) for i in (world.object, *world.still)}
+    capsules[world.object] = capsules[world.object].moved(T)
+    return _rows(world, ContactPhase.REST, capsules, {"T": T})
 
 
-def _rows(name: str, inputs: list[Any], labels: list[str], rows: list[tuple[Any, str, bool, float]]) -> Rows:
-    column = ca.vertcat(*[distance - needed for distance, _, _, needed in rows]) if rows else ca.SX(0, 1)
-    function = ca.Function(name, inputs, [column], labels, ["margin"])
-    measured, required = np.array([row[2] for row in rows], dtype=bool), np.array([row[3] for row in rows], dtype=float)
-    return Rows(function, tuple(row[1] for row in rows), measured, required)
+def _rows(world: CollisionWorld, phase: ContactPhase, capsules: dict[int, Capsule], inputs: dict[str, Any]) -> Rows:
+    """Return the distances of the pairs of a phase, `capsules` being all bodies of these but obstacles and supports."""
+    distances, names, measured, required = [], [], [], []
+    for i, j, needed in world.pairs(phase):
+        body, other = capsules[i], world.bodies[j]
+        if j in world.supports:
+            height = world.workcell.supports[world.supports.index(j)].height
+            found = [end[2] - body.radius - height for end in (body.a, body.b)] if i in world.moving else []
+        elif j in world.surroundings and j != world.object:
+            found = _to_obstacle(body, other)
+        else:
+            found = [_between(body, capsules[j])]
+        distances += [distance - needed for distance in found]
+        names += [f"{body.name} and {other.name}"] * len(found)
+        measured += [j in world.surroundings] * len(found)
+        required += [needed] * len(found)
+    column = ca.vertcat(*distances) if distances else ca.SX(0, 1)
+    function = ca.Function("clearances", [*inputs.values()], [column], [*inputs], ["margin"])
+    return Rows(function, tuple(names), np.array(measured, dtype=bool), np.array(required, dtype=float))
 
 
 def _capsule(body: Body) -> Capsule:

@@ -15,7 +15,8 @@ import numpy as np
 
 from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.feasibility import FeasibilityChecker
-from regrasp_opt.motion.refinement.measures import ROUNDING, JointChoice, Measure, MeasureBounds, manipulability, travel
+from regrasp_opt.motion.refinement.candidates import JointChoice
+from regrasp_opt.motion.refinement.measures import ROUNDING, Measure, MeasureBounds, manipulability, travel
 
 Nearest = Callable[[FloatArray, FloatArray], FloatArray]
 """Moves configurations (..., dof), the first argument, by whole turns as near to the second as can be."""
@@ -41,8 +42,7 @@ def states_at(checker: FeasibilityChecker, T: FloatArray, grasp_ids: IntArray) -
     ids = np.repeat(grasp_ids, [len(q) for q in branches])
     q = np.concatenate([np.zeros((0, robot.dof)), *branches])
     clearance = [checker.clearance(T, int(g), x) for g, x in zip(ids, q, strict=True)]
-    manipulable = manipulability(robot, q) if len(q) else np.zeros(0)
-    return States(ids.astype(np.int64), q, np.array(clearance, dtype=np.float64), manipulable)
+    return States(ids.astype(np.int64), q, np.array(clearance, dtype=np.float64), manipulability(robot, q))
 
 
 def best_choices(

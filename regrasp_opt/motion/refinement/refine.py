@@ -6,30 +6,18 @@ plan that was given is returned as it was.
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
-from regrasp_opt.conventions import FloatArray
 from regrasp_opt.errors import OptionError, UnknownNameError
-from regrasp_opt.motion.refinement.measures import (
-    MEASURES,
-    JointMeasures,
-    Measure,
-    MeasureBounds,
-    clearances,
-    first_choice,
-    measure_choice,
-)
-from regrasp_opt.motion.refinement.search import Candidate, JointSearch, SearchOptions
-from regrasp_opt.planning import RegraspPlan, RegraspProblem, Transition
-from regrasp_opt.planning.verification import enumerate_transition
-from regrasp_opt.solvers.base import wrap_yaw
+from regrasp_opt.motion.refinement.candidates import CandidateCheck
+from regrasp_opt.motion.refinement.measures import MEASURES, JointMeasures, Measure, MeasureBounds
+from regrasp_opt.motion.refinement.search import JointSearch, SearchOptions
+from regrasp_opt.planning import RegraspPlan
 from regrasp_opt.threads import one_blas_thread
 
 
@@ -107,54 +95,16 @@ def refine_plan(
     if not plan.solved:
         raise OptionError(f"the plan is not solved ({plan.status.name.lower()}); refine a solved plan")
     begun = time.perf_counter()
-    at_home = None if home is None else _checked_home(home, plan.problem)
+    at_home = None if home is None else plan.problem.workcell.arm.robot.configuration(home, "home")
     with one_blas_thread():
-        before = measure_choice(plan.problem, plan.poses, first_choice(plan), at_home, plan.cost)
-        limits = (bounds or MeasureBounds()).tightened(before, held)
-        search = JointSearch(plan, minimise, limits, at_home, options or SearchOptions())
+        check = CandidateCheck(plan, bounds or MeasureBounds(), held, at_home)
+        search = JointSearch(check, minimise, options or SearchOptions())
         best = search.run()
-        refined, refusal = None, ""
-        if best is not None and (not search.failure or best.measures.loss(minimise) < before.loss(minimise)):
-            refined, refusal = _verified(plan, search, best)
-        if best is None or refined is None:
-            return JointResult(plan, before, search.discrete, before, refusal or search.failure, search.stats)
+        refined: RegraspPlan | str = search.failure
+        if best is not None and (not search.failure or best.measures.loss(minimise) < check.before.loss(minimise)):
+            refined = check.as_plan(best)
+        if isinstance(refined, str):
+            return JointResult(plan, check.before, search.discrete, check.before, refined, search.stats)
+        assert best is not None
         refined = replace(refined, timings={**plan.timings, "joint": time.perf_counter() - begun})
-        return JointResult(refined, before, search.discrete, best.measures, search.failure, search.stats)
-
-
-def _checked_home(home: ArrayLike, problem: RegraspProblem) -> FloatArray:
-    robot = problem.workcell.arm.robot
-    try:
-        q = np.asarray(home, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise OptionError(f"home must be {robot.dof} joint values") from error
-    if q.shape != (robot.dof,) or not robot.within_limits(q):
-        raise OptionError(f"home is {np.round(q, 3).tolist()}; give {robot.dof} joint values within their limits")
-    return q
-
-
-def _verified(plan: RegraspPlan, search: JointSearch, best: Candidate) -> tuple[RegraspPlan | None, str]:
-    """Return the plan of `best` with all shared grasps enumerated, or None and the reason why it is not verified."""
-    poses = search.poses(best.xi)
-    transitions = list(plan.transitions)
-    if not np.array_equal(best.xi, plan.xi):
-        chain = search.chain(best.xi)
-        checker = plan.problem.checker
-        transitions = [enumerate_transition(checker, a, b) for a, b in itertools.pairwise(chain)]
-    transitions = [_led_by(t, search, best, i) for i, t in enumerate(transitions)]
-    refined = replace(plan, poses=poses, xi=wrap_yaw(best.xi), transitions=tuple(transitions), cost=best.measures.cost)
-    problems = refined.residuals().problems
-    return (None, f"the refined plan fails the final verification: {problems[0]}") if problems else (refined, "")
-
-
-def _led_by(transition: Transition, search: JointSearch, best: Candidate, i: int) -> Transition:
-    """Return `transition` with the chosen grasp first, in its chosen configurations."""
-    grasp_id = int(best.choice.grasp_ids[i])
-    others = transition.grasp_ids != grasp_id
-    clearance = clearances(search.problem, search.poses(best.xi), best.choice)[i].min()
-    return Transition(
-        np.append(grasp_id, transition.grasp_ids[others]),
-        np.vstack([best.choice.q[i, :1], transition.q_pick[others]]),
-        np.vstack([best.choice.q[i, 1:], transition.q_place[others]]),
-        np.append(clearance, transition.clearance[others]),
-    )
+        return JointResult(refined, check.before, search.discrete, best.measures, search.failure, search.stats)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -104,8 +104,7 @@ class MotionScene:
         return _Arrangement(arm.robot.chain.tip @ T_flange_object, (width, width))
 
 
-@dataclass(frozen=True, eq=False)
-class _Arrangement:
+class _Arrangement(NamedTuple):
     """Where the object is, in the world or the tip joint (4, 4), and which openings (low, high) the jaw may have."""
 
     T_object: FloatArray

@@ -11,7 +11,6 @@ from regrasp_opt.conventions import FloatArray
 from regrasp_opt.motion.trajectory.cartesian_path import line
 from regrasp_opt.motion.trajectory.collision_context import CollisionContext
 from regrasp_opt.motion.trajectory.continuous_collision import verify
-from regrasp_opt.motion.trajectory.options import MotionOptions
 from regrasp_opt.motion.trajectory.sampling import polyline
 from regrasp_opt.motion.trajectory.time_parameterization import (
     LINE_GRID,
@@ -44,11 +43,6 @@ class Connector:
     velocity: FloatArray
     acceleration: FloatArray
     distances: tuple[float, ...]
-
-    @staticmethod
-    def of(robot: Robot, options: MotionOptions) -> Connector:
-        """Return the connector for `robot` that `options` ask for."""
-        return Connector(robot, *options.limits(robot), options.distances)
 
     def away(self, context: CollisionContext, q: FloatArray, directions: FloatArray) -> Trajectory | None:
         """Return a verified straight tool motion from `q` (dof,) along one of `directions` (D, 3), base frame."""
@@ -85,4 +79,4 @@ class Connector:
     def accepted(self, context: CollisionContext, trajectory: Trajectory) -> bool:
         """Return whether `trajectory` stays within the joint limits and is verified free of collision."""
         low, high = trajectory.position_range()
-        return self.robot.within_limits(low) and self.robot.within_limits(high) and verify(context, trajectory).holds
+        return self.robot.within_limits(low) and self.robot.within_limits(high) and verify(context, trajectory)

@@ -2,16 +2,31 @@
 
 from __future__ import annotations
 
+import csv
+import json
 import os
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
-from regrasp_opt.motion.motion_data import MotionData
-from regrasp_opt.motion.trajectory.motion_file import load_motion, save_motion, save_motion_csv
+import numpy as np
+
+from regrasp_opt.conventions import FloatArray
+from regrasp_opt.errors import OptionError, PlanFileError
+from regrasp_opt.files import atomic_path
+from regrasp_opt.motion.motion_data import MotionStatus, Segment
+from regrasp_opt.motion.trajectory.motion_file import SCHEMA, read_motion
 from regrasp_opt.motion.trajectory.scene_export import save_scene
+from regrasp_opt.motion.trajectory.trajectory import Trajectory
+from regrasp_opt.planning import RegraspPlan
+from regrasp_opt.planning.plan_file import plan_content, plan_from_content
+
+MOST_ROWS = 10**6
+"""Rows of a CSV at most; these are some 150 MB."""
 
 
 @dataclass(frozen=True, eq=False)
-class MotionPlan(MotionData):
+class MotionPlan:
     """What `plan_motion` returns.
 
     Attributes
@@ -30,9 +45,34 @@ class MotionPlan(MotionData):
         How long planning the motion took.
     """
 
+    status: MotionStatus
+    reason: str
+    plan: RegraspPlan
+    segments: tuple[Segment, ...]
+    velocity_limits: FloatArray
+    acceleration_limits: FloatArray
+    seconds: float
+
+    @property
+    def solved(self) -> bool:
+        """Whether the status is SOLVED."""
+        return self.status is MotionStatus.SOLVED
+
+    @property
+    def duration(self) -> float:
+        """How long the motion takes [s]."""
+        return float(sum(segment.trajectory.duration for segment in self.segments))
+
+    @property
+    def starts(self) -> FloatArray:
+        """When each segment begins (S,) [s]."""
+        durations = [segment.trajectory.duration for segment in self.segments]
+        return np.cumsum([0.0, *durations])[: len(durations)]
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the motion with its plan to `path` as JSON, atomically (docs/motion.md)."""
-        save_motion(self, path)
+        with atomic_path(path) as temporary:
+            temporary.write_text(json.dumps(motion_content(self), allow_nan=False) + "\n", encoding="utf-8")
 
     @staticmethod
     def load(path: str | os.PathLike[str]) -> MotionPlan:
@@ -43,18 +83,90 @@ class MotionPlan(MotionData):
         PlanFileError
             If the file is missing, malformed, or its object or workcell has changed since.
         """
-        return load_motion(path, MotionPlan)
+        path = Path(path)
+        content = read_motion(path)
+        plan = plan_from_content(content.plan, path, RegraspPlan)
+        robot = plan.problem.workcell.arm.robot
+        if tuple(content.joint_names) != robot.joint_names:
+            raise PlanFileError(
+                f"'{path}' is a motion of other joints than those of '{robot.name}'; plan the motion again"
+            )
+        segments = []
+        for s in content.segments:
+            if s.transition >= len(plan.transitions) or s.grasp_id >= len(plan.problem.grasps):
+                raise PlanFileError(f"'{path}': a segment names an unknown transition or grasp; plan the motion again")
+            trajectory = Trajectory(np.array(s.times), np.array(s.positions), np.array(s.velocities))
+            segments.append(Segment(s.phase, s.transition, s.grasp_id, trajectory, s.jaw))
+        limits = np.array(content.velocity_limits), np.array(content.acceleration_limits)
+        return MotionPlan(content.status, content.reason, plan, tuple(segments), *limits, content.seconds)
 
     def save_csv(self, path: str | os.PathLike[str], step: float = 0.01) -> None:
         """Write positions and velocities of all joints at every `step` seconds to `path` as CSV, atomically.
+
+        Columns are ``time`` [s], ``phase``, ``jaw`` [m], the joints' positions under their names and their velocities
+        under ``NAME_velocity``; the last row is the end. The jaw moves evenly over a segment.
 
         Raises
         ------
         OptionError, PlanFileError
             If `step` is not a positive number of seconds or gives more than a million rows, or there is no motion.
         """
-        save_motion_csv(self, path, step)
+        check_step(step)
+        if not self.solved:
+            raise PlanFileError(f"there is no motion to write: {self.reason}")
+        if self.duration > step * MOST_ROWS:
+            raise OptionError(
+                f"step is {step}, which makes more than {MOST_ROWS:,} rows of {self.duration:.0f} s; give a larger one"
+            )
+        names = self.plan.problem.workcell.arm.robot.joint_names
+        times = np.append(np.arange(0.0, self.duration - step / 2, step), self.duration)
+        numbers = np.searchsorted(self.starts, times, side="right") - 1
+        with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(["time", "phase", "jaw", *names, *(f"{name}_velocity" for name in names)])
+            for number, (segment, start) in enumerate(zip(self.segments, self.starts, strict=True)):
+                trajectory = segment.trajectory
+                t = times[numbers == number]
+                local = np.clip(t - start, 0.0, trajectory.duration)
+                jaw = np.interp(local, [0.0, trajectory.duration], segment.jaw)
+                states = np.column_stack([jaw, trajectory.at(local), trajectory.velocity_at(local)])
+                for moment, state in zip(t.tolist(), states.tolist(), strict=True):
+                    row = [f"{x:.9g}" for x in (moment, *state)]
+                    writer.writerow([row[0], segment.phase.name.lower(), *row[1:]])
 
     def save_scene(self, folder: str | os.PathLike[str]) -> None:
         """Write robot, gripper, table, obstacles and object as URDF, and where they stand, into `folder`."""
         save_scene(self.plan, folder)
+
+
+def check_step(step: float) -> None:
+    """Raise an `OptionError` if `step` cannot be the time between rows of a CSV."""
+    if not 0 < step < np.inf:
+        raise OptionError(f"step is {step}; give a positive number of seconds")
+
+
+def motion_content(motion: MotionPlan) -> dict[str, Any]:
+    """Return what the file of `motion` holds."""
+    return {
+        "schema": SCHEMA,
+        "kind": "motion",
+        "status": motion.status.name.lower(),
+        "reason": motion.reason,
+        "joint_names": list(motion.plan.problem.workcell.arm.robot.joint_names),
+        "velocity_limits": motion.velocity_limits.tolist(),
+        "acceleration_limits": motion.acceleration_limits.tolist(),
+        "seconds": motion.seconds,
+        "segments": [
+            {
+                "phase": segment.phase.name.lower(),
+                "transition": segment.transition,
+                "grasp_id": segment.grasp_id,
+                "jaw": list(segment.jaw),
+                "times": segment.trajectory.times.tolist(),
+                "positions": segment.trajectory.positions.tolist(),
+                "velocities": segment.trajectory.velocities.tolist(),
+            }
+            for segment in motion.segments
+        ],
+        "plan": plan_content(motion.plan),
+    }

@@ -21,9 +21,6 @@ LEAST_SPEED = 1e-6
 ACCELERATION_RANGE = 0.001, 1000.0
 """Joint accelerations that are believed [rad/s^2, m/s^2]."""
 
-JAW_TIME = 0.5
-"""Time in which the jaw closes or opens while the arm rests [s]."""
-
 
 @dataclass(frozen=True, eq=False)
 class MotionOptions:
@@ -44,6 +41,8 @@ class MotionOptions:
         Shared grasps of a transition that are tried at most.
     iterations : int
         Steps of the sampling planner for one connection.
+    jaw_time : float
+        Time in which the jaw closes or opens while the arm rests, from 0.001 to 100 [s].
     optimise : bool
         Whether stops between the phases are taken out, where what results is verified.
     seed : int
@@ -61,6 +60,7 @@ class MotionOptions:
     distances: tuple[float, ...] = (0.10, 0.06, 0.03)
     candidates: int = 40
     iterations: int = 400
+    jaw_time: float = 0.5
     optimise: bool = True
     seed: int = 0
 
@@ -69,6 +69,8 @@ class MotionOptions:
             raise OptionError(f"velocity is {self.velocity}; give a fraction from {LEAST_VELOCITY} to 1")
         if not self.distances or not all(0.005 <= d <= 1 for d in self.distances):
             raise OptionError(f"distances are {self.distances}; give lengths from 0.005 to 1 m")
+        if not 0.001 <= self.jaw_time <= 100:
+            raise OptionError(f"jaw_time is {self.jaw_time}; give a number of seconds from 0.001 to 100")
         for name in ("candidates", "iterations"):
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
@@ -113,12 +115,4 @@ class MotionOptions:
             if self.home != "robot":
                 raise OptionError(f"home is '{self.home}'; give joint positions, 'robot' or None")
             return robot.home
-        try:
-            home = np.array(self.home, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise OptionError(f"home must be {robot.dof} joint positions") from error
-        if home.shape != (robot.dof,) or not np.isfinite(home).all():
-            raise OptionError(f"home must be {robot.dof} joint positions")
-        if not robot.within_limits(home):
-            raise OptionError("home is outside the joint limits; give joint positions within them")
-        return home
+        return robot.configuration(self.home, "home")

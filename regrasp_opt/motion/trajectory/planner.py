@@ -1,4 +1,4 @@
-"""`plan_motion`: joint trajectories that carry out a regrasp plan.
+"""`plan_motion`: joint trajectories that carry out a regrasp plan; `plan_with_motion`: regrasp plan and motion in one.
 
 For each transition the shared grasps are tried in the order of how far the arm would have to move. A grasp is taken
 when all seven of its motions, and the way to its approach, were verified. Straight motions are tried first for all
@@ -14,7 +14,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -25,16 +25,13 @@ from regrasp_opt.motion.trajectory.collision_context import LEVELS, MotionScene
 from regrasp_opt.motion.trajectory.connector import Connector
 from regrasp_opt.motion.trajectory.motion_plan import MotionPlan
 from regrasp_opt.motion.trajectory.options import MotionOptions
-from regrasp_opt.motion.trajectory.pick_place import Grasped, MotionTools, PickPlaceMotion, Resting
+from regrasp_opt.motion.trajectory.pick_place import LINES, Grasped, Leg, MotionTools, PickPlaceMotion, Resting
 from regrasp_opt.motion.trajectory.smoothing import shortened
-from regrasp_opt.planning import RegraspPlan, RegraspProblem, Transition
+from regrasp_opt.planning import RegraspPlan, RegraspProblem, Transition, solve_sequence
 from regrasp_opt.threads import one_blas_thread
 
 GROUP = 4
 """Grasps that are tried with straight motions before the sampling planner is tried on them."""
-
-LINES = (Phase.LIFT, Phase.LOWER, Phase.APPROACH, Phase.RETREAT)
-"""Motions for which tilted lines are tried where straight ones fail."""
 
 BRIEF = 3
 """One in so many of the sampling planner's steps is spent on each grasp at first."""
@@ -62,44 +59,85 @@ def plan_motion(plan: RegraspPlan, options: MotionOptions | None = None) -> Moti
     options = options or MotionOptions()
     began = time.perf_counter()
     robot = plan.problem.workcell.arm.robot
-    connector, home = Connector.of(robot, options), options.home_of(robot)
+    connector, home = Connector(robot, *options.limits(robot), options.distances), options.home_of(robot)
     with one_blas_thread():
-        result = _plan(plan, options, connector, home)
+        status, reason, segments = _plan(plan, options, connector, home)
     limits = connector.velocity, connector.acceleration
-    return MotionPlan(result.status, result.reason, plan, result.segments, *limits, time.perf_counter() - began)
+    return MotionPlan(status, reason, plan, tuple(segments), *limits, time.perf_counter() - began)
 
 
-class _Result(NamedTuple):
-    status: MotionStatus
-    reason: str
-    segments: tuple[Segment, ...] = ()
+def plan_with_motion(
+    problem: RegraspProblem, start: Any, goal: Any, *, options: MotionOptions | None = None, **search: Any
+) -> MotionPlan:
+    """Plan poses and motion from `start` to `goal`.
+
+    Each plan that `solve_sequence` verifies has its motion planned; where there is none, the search goes on.
+
+    Parameters
+    ----------
+    problem : RegraspProblem
+    start, goal : (4, 4) array_like
+        T_world_object.
+    options : MotionOptions, optional
+        How to move.
+    **search
+        Other arguments of `solve_sequence`: refiner, max_regrasps, seed, time_limit.
+
+    Returns
+    -------
+    MotionPlan
+        If no plan that was found allows a motion, the first of them with what is in its way; if none was found at all,
+        its status is NO_PLAN. ``.plan`` is the regrasp plan either way.
+
+    Raises
+    ------
+    PoseError, OptionError, UnknownNameError, ModelError
+        Same as in `solve_sequence` and `plan_motion`.
+    """
+    tried: list[MotionPlan] = []
+
+    def movable(plan: RegraspPlan) -> bool:
+        tried.append(plan_motion(plan, options))
+        return tried[-1].solved
+
+    plan = solve_sequence(problem, start, goal, accept=movable, **search)
+    if not tried:
+        return plan_motion(plan, options)
+    seconds, first = sum(motion.seconds for motion in tried), tried[0]
+    if tried[-1].solved:
+        return replace(tried[-1], plan=plan, seconds=seconds)
+    others = f"none of {len(tried)} plans allows a motion; for the first, " if len(tried) > 1 else ""
+    return replace(first, reason=others + first.reason, seconds=seconds)
 
 
-def _plan(plan: RegraspPlan, options: MotionOptions, connector: Connector, home: FloatArray | None) -> _Result:
+def _plan(
+    plan: RegraspPlan, options: MotionOptions, connector: Connector, home: FloatArray | None
+) -> tuple[MotionStatus, str, list[Segment]]:
+    """Return how planning ended, what failed, and the segments."""
     if not plan.solved:
-        return _Result(MotionStatus.NO_PLAN, f"the plan's status is {plan.status.name.lower()}")
+        return MotionStatus.NO_PLAN, f"the plan's status is {plan.status.name.lower()}", []
     scene = MotionScene(plan.problem)
     for T, where in ((plan.poses[0], "start"), (plan.poses[-1], "goal")):
         context = scene.beside(T, (0.0, plan.problem.workcell.arm.end_effector.max_opening))
         if home is not None and not context.passes(home, len(LEVELS) - 1):
-            return _Result(MotionStatus.HOME_BLOCKED, f"the arm at home collides with the object at the {where}")
+            return MotionStatus.HOME_BLOCKED, f"the arm at home collides with the object at the {where}", []
     held = [_held(plan.problem, transition) for transition in plan.transitions]
+    plan, rng = replace(plan, transitions=tuple(held)), np.random.default_rng([options.seed, 3])
+    tools = MotionTools(plan, options, scene, connector, home, rng)
     for index, transition in enumerate(held):
         if len(transition.grasp_ids) == 0:
-            return _Result(MotionStatus.NO_MOTION, f"no grasp of transition {index} holds the object; check the plan")
-    plan = replace(plan, transitions=tuple(held))
-    tools = MotionTools(plan, scene, connector, home, np.random.default_rng([options.seed, 3]))
-    rest, segments = Resting(home, None), list[Segment]()
-    for index in range(len(plan.transitions)):
-        found = _Transition(tools, options, index, rest).run()
+            reason = f"no grasp of transition {index} holds the object; check the plan"
+            return MotionStatus.NO_MOTION, reason, []
+    rest, legs = Resting(home, None), list[Leg]()
+    for index in range(len(held)):
+        found = _Transition(tools, index, rest).run()
         if isinstance(found, str):
-            return _Result(MotionStatus.NO_MOTION, found)
-        segments += found
-        before_home = [s for s in found if s.phase is not Phase.RETURN][-1]
-        rest = Resting(before_home.trajectory.positions[-1], before_home.jaw[1])
-    if options.optimise:
-        segments = shortened(plan, scene, connector, segments)
-    return _Result(MotionStatus.SOLVED, "", tuple(segments))
+            return MotionStatus.NO_MOTION, found, []
+        legs += found
+        last = [leg.segment for leg in found if leg.segment.phase is not Phase.RETURN][-1]
+        rest = Resting(last.trajectory.positions[-1], last.jaw[1])
+    segments = shortened(connector, legs) if options.optimise else [leg.segment for leg in legs]
+    return MotionStatus.SOLVED, "", segments
 
 
 def _held(problem: RegraspProblem, transition: Transition) -> Transition:
@@ -111,11 +149,11 @@ def _held(problem: RegraspProblem, transition: Transition) -> Transition:
 
 
 class _Transition:
-    def __init__(self, tools: MotionTools, options: MotionOptions, index: int, start: Resting) -> None:
-        self._tools, self._options, self._index, self._start = tools, options, index, start
+    def __init__(self, tools: MotionTools, index: int, start: Resting) -> None:
+        self._tools, self._options, self._index, self._start = tools, tools.options, index, start
         self._transition = tools.plan.transitions[index]
 
-    def run(self) -> list[Segment] | str:
+    def run(self) -> list[Leg] | str:
         """Return the segments of the transition, or what is in the way."""
         blocked = Counter[Phase]()
         for holds in (self._planned(), self._all_others()):
@@ -131,14 +169,14 @@ class _Transition:
             f"object, {causes}"
         )
 
-    def _first(self, ways: list[PickPlaceMotion], *, tilted: bool) -> list[Segment] | None:
+    def _first(self, ways: list[PickPlaceMotion], *, tilted: bool) -> list[Leg] | None:
         """Return the segments of the first of `ways` that is possible."""
         brief, full = max(1, self._options.iterations // BRIEF), self._options.iterations
         groups = [ways[k : k + GROUP] for k in range(0, len(ways), GROUP)]
         rounds = [(group, iterations) for group in groups for iterations in (0, brief)] + [(ways, full)]
         for group, iterations in rounds:
             for way in group:
-                found = way.segments(iterations, tilted)
+                found = way.legs(iterations, tilted)
                 if found is not None:
                     return found
         return None
@@ -168,14 +206,10 @@ class _Transition:
             turns = robot.nearest_equivalent(ends, ends + np.mean(ways or [np.zeros(robot.dof)], axis=0)) - ends
             ends = ends + turns[np.abs(turns).argmin(axis=0), np.arange(robot.dof)]  # what both ends have room for
             moves = [end - q for end, q in zip((start, homeward), ends, strict=True) if end is not None]
-            cost = sum(float(self._time(move)) for move in (ends[1] - ends[0], *moves))
+            times = [(np.abs(move) / tools.connector.velocity).max() for move in (ends[1] - ends[0], *moves)]
+            cost = float(sum(times))  # at full speed [s]
             found.append((cost, Grasped(grasped.grasp_id, *ends)))
         return [grasped for _, grasped in sorted(found, key=lambda each: each[0])][: self._options.candidates]
-
-    def _time(self, change: FloatArray) -> FloatArray:
-        """Return how long straight moves by `change` (..., dof) take at full speed (...) [s]."""
-        times: FloatArray = (np.abs(change) / self._tools.connector.velocity).max(axis=-1)
-        return times
 
 
 def _same_arm(a: FloatArray, b: FloatArray) -> bool:

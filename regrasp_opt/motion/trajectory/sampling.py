@@ -32,7 +32,7 @@ _MARGIN = 1.2
 
 
 def polyline(
-    setting: CollisionContext,
+    context: CollisionContext,
     start: FloatArray,
     goal: FloatArray,
     limits: tuple[FloatArray, FloatArray],
@@ -47,13 +47,13 @@ def polyline(
     limits : two (dof,) arrays
         Lower and upper joint limits.
     """
-    level = MARGIN_LEVEL if all(setting.passes(q, MARGIN_LEVEL) for q in (start, goal)) else len(LEVELS) - 1
-    edges = _Edges(setting, level)
+    level = MARGIN_LEVEL if all(context.passes(q, MARGIN_LEVEL) for q in (start, goal)) else len(LEVELS) - 1
+    edges = _Edges(context, level)
     if edges.free(start, goal):
         return np.array([start, goal])
     low = np.maximum(limits[0], np.minimum(start, goal) - _MARGIN)
     high = np.minimum(limits[1], np.maximum(start, goal) + _MARGIN)
-    trees = [_Tree(end, setting.reach, iterations + 1) for end in (start, goal)]
+    trees = [_Tree(end, iterations + 1) for end in (start, goal)]
     for i in range(iterations):
         growing, other = trees[i % 2], trees[1 - i % 2]
         fresh = edges.grow(growing, rng.uniform(low, high), STEP)
@@ -71,13 +71,12 @@ def polyline(
 class _Tree:
     """Configurations with the number of the one before each; the root has -1."""
 
-    def __init__(self, root: FloatArray, reach: FloatArray, size: int) -> None:
+    def __init__(self, root: FloatArray, size: int) -> None:
         self.nodes = np.tile(root, (size, 1))
         self._parents = [-1]
-        self._reach = reach
 
-    def nearest(self, q: FloatArray) -> int:
-        return int((np.abs(self.nodes[: len(self._parents)] - q) @ self._reach).argmin())
+    def nearest(self, q: FloatArray, context: CollisionContext) -> int:
+        return int(context.travel(self.nodes[: len(self._parents)] - q).argmin())
 
     def add(self, q: FloatArray, parent: int) -> int:
         self._parents.append(parent)
@@ -94,28 +93,28 @@ class _Tree:
 
 
 class _Edges:
-    def __init__(self, setting: CollisionContext, level: int) -> None:
-        self._setting, self._level = setting, level
+    def __init__(self, context: CollisionContext, level: int) -> None:
+        self._context, self._level = context, level
 
     def free(self, a: FloatArray, b: FloatArray) -> bool:
         """Return whether samples between `a` and `b` (dof,), both ends left out, are free of collision."""
-        count = int(np.ceil(float(self._setting.travel(b - a)) / SPACING))
+        count = int(np.ceil(float(self._context.travel(b - a)) / SPACING))
         parts = np.arange(1, count) / max(count, 1)
         order = np.argsort(np.abs(parts - 0.5), kind="stable")  # collisions are likelier away from the free ends
-        return all(self._setting.passes(a + u * (b - a), self._level) for u in parts[order].tolist())
+        return all(self._context.passes(a + u * (b - a), self._level) for u in parts[order].tolist())
 
     def grow(self, tree: _Tree, target: FloatArray, longest: float) -> int | None:
         """Grow `tree` towards `target` (dof,) while that is free, nothing moving farther than `longest` [m].
 
         Returns the new node, or None if nothing was gained.
         """
-        near = tree.nearest(target)
+        near = tree.nearest(target, self._context)
         change = target - tree.nodes[near]
-        distance = float(self._setting.travel(change))
+        distance = float(self._context.travel(change))
         count = int(np.ceil(distance / SPACING))
         steps = count if distance <= longest else int(longest / SPACING)
         free = 0
-        while free < steps and self._setting.passes(tree.nodes[near] + change * ((free + 1) / count), self._level):
+        while free < steps and self._context.passes(tree.nodes[near] + change * ((free + 1) / count), self._level):
             free += 1
         if free < min(steps, SHORTEST):
             return None

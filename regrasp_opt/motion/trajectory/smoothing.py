@@ -17,11 +17,10 @@ from scipy.interpolate import CubicSpline
 
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.motion.motion_data import Phase, Segment
-from regrasp_opt.motion.trajectory.collision_context import CollisionContext, MotionScene
 from regrasp_opt.motion.trajectory.connector import Connector
+from regrasp_opt.motion.trajectory.pick_place import Leg
 from regrasp_opt.motion.trajectory.smoothing_program import LINE_STEPS, STEPS, Crossing, Line, fastest_run
 from regrasp_opt.motion.trajectory.trajectory import Trajectory
-from regrasp_opt.planning import RegraspPlan
 
 ATTEMPTS = ((0.5, np.inf), (0.5, 0.3), (1.0, 0.3))
 """Share of the lines that stays, and how far the crossing may be from the verified path [rad, m], in that order."""
@@ -36,30 +35,18 @@ _LEAVING = (Phase.LIFT, Phase.RETREAT)
 _ARRIVING = (Phase.LOWER, Phase.APPROACH)
 
 
-def shortened(
-    plan: RegraspPlan, scene: MotionScene, connector: Connector, segments: Sequence[Segment]
-) -> list[Segment]:
-    """Return `segments` with every run that can be verified in place of the segments that it replaces."""
+def shortened(connector: Connector, legs: Sequence[Leg]) -> list[Segment]:
+    """Return the segments of `legs` with every run that can be verified in place of those that it replaces."""
     result: list[Segment] = []
-    for rests, group in itertools.groupby(segments, lambda s: s.phase in (Phase.GRASP, Phase.RELEASE)):
+    for rests, group in itertools.groupby(legs, lambda leg: leg.segment.phase in (Phase.GRASP, Phase.RELEASE)):
         run = list(group)
-        result += run if rests else _run(plan, scene, connector, run)
+        result += [leg.segment for leg in run] if rests else _run(connector, run)
     return result
 
 
-def context_of(plan: RegraspPlan, scene: MotionScene, segment: Segment) -> CollisionContext:
-    """Return the context in which the arm moves in `segment`."""
-    leaves = segment.phase in (Phase.LIFT, Phase.REACH, Phase.APPROACH)
-    T = plan.poses[segment.transition + (not leaves)]
-    if segment.phase is Phase.TRANSFER:
-        return scene.holding(segment.grasp_id)
-    if segment.phase.holds:
-        return scene.lifting(segment.grasp_id, T)
-    return scene.beside(T, (min(segment.jaw), max(segment.jaw)))
-
-
-def _run(plan: RegraspPlan, scene: MotionScene, connector: Connector, run: list[Segment]) -> list[Segment]:
-    """Return `run` without stops, or as it is."""
+def _run(connector: Connector, legs: list[Leg]) -> list[Segment]:
+    """Return the run of `legs` without stops, or as it is."""
+    run = [leg.segment for leg in legs]
     leaves, arrives = run[0].phase in _LEAVING, run[-1].phase in _ARRIVING
     if len(run) != 1 + leaves + arrives:
         return run
@@ -68,8 +55,8 @@ def _run(plan: RegraspPlan, scene: MotionScene, connector: Connector, run: list[
         parts = _attempt(connector, run, share, radius)
         if parts is None or sum(part.duration for part in parts) >= duration:
             continue
-        if all(connector.accepted(context_of(plan, scene, s), part) for s, part in zip(run, parts, strict=True)):
-            return [replace(s, trajectory=part) for s, part in zip(run, parts, strict=True)]
+        if all(connector.accepted(leg.context, part) for leg, part in zip(legs, parts, strict=True)):
+            return [replace(segment, trajectory=part) for segment, part in zip(run, parts, strict=True)]
     return run
 
 

@@ -16,7 +16,7 @@ import itertools
 import numpy as np
 from scipy.interpolate import BSpline, CubicSpline
 from scipy.optimize import linprog
-from scipy.sparse import coo_array
+from scipy.sparse import csr_array
 
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.motion.trajectory.trajectory import Trajectory
@@ -89,25 +89,12 @@ def _path_speeds(first: FloatArray, second: FloatArray, velocity: FloatArray, ac
         upper = np.minimum(upper, (acceleration / np.abs(second)).min(axis=1))
     upper[[0, -1]] = 0.0
     # Rows: at both ends of every interval and for each joint, second x + first (x_next - x_this) / (2 ds).
-    left, right = np.arange(count - 1), np.arange(1, count)
-    rate = (count - 1) / 2
-    scale = 1 / acceleration
-    rows, columns, values = [], [], []
-    for block, here in enumerate((left, right)):
-        row = (block * (count - 1) * dof + np.arange((count - 1) * dof)).reshape(count - 1, dof)
-        for column, weight in ((left, -rate), (right, rate)):
-            own = second[here] if column is here else 0.0
-            rows.append(row)
-            columns.append(np.repeat(column[:, None], dof, axis=1))
-            values.append((first[here] * weight + own) * scale)
-    size = 2 * (count - 1) * dof
-    index = np.concatenate([r.ravel() for r in rows]), np.concatenate([c.ravel() for c in columns])
-    half = coo_array((np.concatenate([v.ravel() for v in values]), index), shape=(size, count))
-    A = coo_array(
-        (np.concatenate([half.data, -half.data]), (np.concatenate([half.row, half.row + size]), np.tile(half.col, 2))),
-        shape=(2 * size, count),
-    )
+    k, slope = np.arange(count - 1), first * (count - 1) / 2
+    rows = np.zeros((2, count - 1, dof, count))
+    rows[0, k, :, k], rows[0, k, :, k + 1] = second[:-1] - slope[:-1], slope[:-1]
+    rows[1, k, :, k], rows[1, k, :, k + 1] = -slope[1:], second[1:] + slope[1:]
+    A = (rows / acceleration[:, None]).reshape(-1, count)
     top = float(np.max(upper[np.isfinite(upper)], initial=1.0))
     bounds = np.column_stack([np.zeros(count), np.minimum(upper, top)])
-    solution = linprog(-np.ones(count), A_ub=A.tocsr(), b_ub=np.ones(2 * size), bounds=bounds, method="highs")
+    solution = linprog(-np.ones(count), A_ub=csr_array(np.vstack([A, -A])), b_ub=np.ones(2 * len(A)), bounds=bounds)
     return np.maximum(solution.x, 0.0)

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.interpolate import CubicHermiteSpline
 
 from regrasp_opt.conventions import FloatArray
 
@@ -42,20 +43,17 @@ class Trajectory:
 
     def at(self, t: ArrayLike) -> FloatArray:
         """Return the positions (..., dof) at times `t` (...) [s]; before the start and after the end it rests."""
-        u, _, (c0, c1, c2, c3) = self._local(t)
-        return c0 + u * (c1 + u * (c2 + u * c3))
+        positions: FloatArray = self._spline(np.clip(t, 0.0, self.duration))
+        return positions
 
     def velocity_at(self, t: ArrayLike) -> FloatArray:
         """Return the velocities (..., dof) at times `t` (...) [s] within the trajectory."""
-        u, h, (_, c1, c2, c3) = self._local(t)
-        return (c1 + u * (2 * c2 + 3 * u * c3)) / h
+        velocities: FloatArray = self._spline(np.clip(t, 0.0, self.duration), 1)
+        return velocities
 
-    def _local(self, t: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return parameter and length (..., 1) and coefficients (4, ..., dof) of the pieces at times `t` (...)."""
-        t = np.clip(np.asarray(t, dtype=np.float64), 0.0, self.duration)
-        piece = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2)
-        h = np.diff(self.times)[piece][..., None]
-        return (t - self.times[piece])[..., None] / h, h, self.coefficients[:, piece]
+    @cached_property
+    def _spline(self) -> CubicHermiteSpline:
+        return CubicHermiteSpline(self.times, self.positions, self.velocities)
 
     def position_range(self) -> tuple[FloatArray, FloatArray]:
         """Return the least and the greatest position (dof,) of each joint over all times."""
