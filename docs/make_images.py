@@ -20,20 +20,25 @@ from selenium import webdriver
 from selenium.webdriver.common.by import By
 
 from regrasp_opt import Recipe, RegraspPlan, RegraspProblem, solve_sequence
+from regrasp_opt.benchmarks.harness import tables
 from regrasp_opt.benchmarks.harness.instances import Instance
-from regrasp_opt.benchmarks.paper.cost_sweep import sweep
+from regrasp_opt.benchmarks.paper.cost_sweep import COST_NAMES, sweep
 from regrasp_opt.conventions import planar_transform
 from regrasp_opt.planning.pose_text import parse_pose
 from regrasp_opt.solvers import NlpRefiner
 from regrasp_opt.viz import CandidateTrace, trace_candidates, write_plan_page
-from regrasp_opt.viz.curves import plot_cost_sweep, plot_cost_traces
-from regrasp_opt.viz.plots import plot_cost_landscape, plot_pose_distribution
+from regrasp_opt.viz.plots import plot_cost_landscape, plot_cost_traces, plot_pose_distribution
 
 IMAGES = Path(__file__).parent / "images"
 START, GOAL = "1:0.26,0.40,-30", "0:-0.26,0.40,10"
 HIDE_CARDS = "for (const card of document.querySelectorAll('.card')) card.style.visibility = 'hidden';"
 SWEPT = "0:0.29,0.47,70", "0:-0.39,0.55,0"
 """Ends on one side of the bottle that share no grasp."""
+STYLES = [
+    {"color": colour, "linestyle": dash}
+    for colour, dash in zip(("#0072b2", "#d55e00", "#009e73", "#cc79a7"), ("-", "--", ":", "-."), strict=True)
+]
+"""Lines that differ in more than their hue."""
 CAPTIONS = (
     "1. pick at the start",
     "2. put down at the intermediate pose",
@@ -139,11 +144,26 @@ def photograph_candidates(browser: webdriver.Chrome, plan: RegraspPlan, trace: C
     save_strip(panels, tuple(trace.label(k).split(", ")[1].split(":")[0] for k in frames), "candidates.png")
 
 
-def draw_sweep(problem: RegraspProblem) -> None:
-    """Write the costs while the intermediate pose moves from the goal to the start."""
+def draw_sweep(problem: RegraspProblem) -> Figure:
+    """Return a picture of the costs while the intermediate pose moves from the goal to the start (Fig. 5)."""
     ends = [parse_pose(text, "pose", problem.placement_poses) for text in SWEPT]
-    figure = plot_cost_sweep(sweep(problem, Instance("sweep", *ends, None)), "Costs while the intermediate pose moves")
-    figure.savefig(IMAGES / "sweep.png", dpi=100)
+    curves = tables.grouped(sweep(problem, Instance("sweep", *ends, None)), "grasps")
+    figure, axes = plt.subplots(1, 4, figsize=(13, 3.2), layout="constrained", sharex=True)
+    for ax, (cost, name) in zip(axes, COST_NAMES.items(), strict=False):
+        for ((count,), rows), style in zip(curves.items(), STYLES, strict=False):
+            ax.plot([row["step"] for row in rows], [row[cost] for row in rows], label=f"{count} grasps", **style)
+        ax.set(title=name, ylabel="cost")
+    (most,), rows = max(curves.items())
+    for key, style in zip(("shared_start", "shared_goal", "shared_all"), STYLES, strict=False):
+        label = key.replace("shared_", "with ")
+        axes[-1].plot([row["step"] for row in rows], [row[key] for row in rows], label=label, **style)
+    axes[-1].set(title=f"shared grasps (exact), of {most}", ylabel="grasps")
+    for ax in axes:
+        ax.set_xlabel("step, from goal to start")
+    for ax in (axes[0], axes[-1]):
+        ax.legend(fontsize="small")
+    figure.suptitle("Costs while the intermediate pose moves")
+    return figure
 
 
 def main() -> None:
@@ -177,7 +197,7 @@ def main() -> None:
     plot_cost_landscape(plan).savefig(IMAGES / "landscape.png", dpi=100)
     plot_pose_distribution(plan).savefig(IMAGES / "poses.png", dpi=100)
     plot_cost_traces(trace).savefig(IMAGES / "traces.png", dpi=100)
-    draw_sweep(plan.problem)
+    draw_sweep(plan.problem).savefig(IMAGES / "sweep.png", dpi=100)
 
 
 if __name__ == "__main__":

@@ -298,10 +298,10 @@ def show(
     plots: Annotated[
         Path | None, typer.Option(help="Write plots of the cost and the candidates to this folder, and exit.")
     ] = None,
-    port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the live view.")] = 8080,
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port to serve the page at.")] = 8080,
     json: Annotated[bool, typer.Option("--json", help="Print the files written, or the address, as JSON.")] = False,
 ) -> int:
-    """Show a saved plan in the browser: a live view until Ctrl+C, or one page in a file; or plot its cost.
+    """Show a saved plan in the browser: a page, served until Ctrl+C or written to a file; or plot its cost.
 
     For example:
 
@@ -348,7 +348,7 @@ def bench(
         typer.Argument(
             metavar="EXPERIMENT",
             help="cost-sweep, one-step, unseen, cross-effector, multi-step, hard-tiers, refiners, ablations, "
-            "embedding, joint, motion or speed.",
+            "joint, motion or speed.",
             autocompletion=names(EXPERIMENTS),
         ),
     ],
@@ -362,9 +362,6 @@ def bench(
     out: Annotated[Path, typer.Option(help="Folder of the results; an interrupted run resumes there.")] = Path(
         "benchmarks"
     ),
-    plots: Annotated[
-        bool, typer.Option("--plots", help="Also write curves as PNG files, where there are any.")
-    ] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")] = False,
 ) -> int:
     """Run an experiment, the paper's or ours, and write rows, a summary and a page. An interrupted run resumes.
@@ -375,8 +372,8 @@ def bench(
     """
     if experiment != "speed":  # timings start over
         interrupts.resumable()
+    from regrasp_opt.benchmarks.harness.session import Session
     from regrasp_opt.cli.bench import run_bench
 
-    return run_bench(
-        experiment, out=out, quick=quick, objects=objects, jobs=jobs, dask=dask, seed=seed, plots=plots, as_json=json
-    )
+    session = Session(out, quick=quick, objects=objects, jobs=jobs, seed=seed)
+    return run_bench(experiment, session, dask, as_json=json)

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 from rich.markup import escape
-from rich.table import Table
 
-from regrasp_opt.cli.output import make_console
+from regrasp_opt.cli.output import make_console, plain_table
 from regrasp_opt.planning import RegraspPlan
 
 logger = logging.getLogger(__name__)
@@ -38,16 +37,8 @@ def run_check(path: Path, *, as_json: bool) -> int:
         print(json.dumps({"holds": good, "problems": problems, "transitions": rows}))
         return 0 if good else 1
     console = make_console()
-    table = Table(box=None, header_style="bold")
-    for heading in (
-        "transition",
-        "grasps",
-        "FK error [m]",
-        "FK error [rad]",
-        "limit margin [rad]",
-        "collision margin [mm]",
-    ):
-        table.add_column(escape(heading), justify="right")
+    margins = "limit margin [rad]", "collision margin [mm]"
+    table = plain_table("transition", "grasps", "FK error [m]", "FK error [rad]", *margins, right=6)
     for i, t in enumerate(residuals.transitions):
         table.add_row(
             str(i),

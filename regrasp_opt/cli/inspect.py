@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
-from regrasp_opt.cli.output import make_console, working
+from regrasp_opt.cli.output import make_console, plain_table, working
 from regrasp_opt.errors import HomeCollisionError
 from regrasp_opt.objects import ObjectModel, load_object
 from regrasp_opt.planning import RegraspProblem
@@ -85,6 +84,8 @@ def _problem(model: ObjectModel | None, workcell: Workcell | None) -> RegraspPro
 
 def _show_workcell(console: Console, cell: dict[str, Any]) -> None:
     robot, effector, table = cell["robot"], cell["end_effector"], cell["table"]
+    length, width = table["size"]
+    (x_low, x_high), (y_low, y_high) = (cell["workspace"][axis] for axis in "xy")
     _heading(console, f"workcell {cell['name']}", cell["source"])
     _show_robot(console, robot)
     holds = (
@@ -98,9 +99,9 @@ def _show_workcell(console: Console, cell: dict[str, Any]) -> None:
         ("end-effector", f"{effector['name']}, {effector['kind']}: {holds}"),
         ("its TCP", f"{_mm(effector['tcp_offset'])} from the flange"),
         ("its bodies", counted_bodies(effector["bodies"])),
-        ("table", f"top at z = {table['height']:g}, {_m(table['size'])} around {_point(table['center'])}"),
+        ("table", f"top at z = {table['height']:g}, {length:g} x {width:g} m around {_point(table['center'])}"),
         *(("obstacle", f"{o['name']}: {counted_bodies([o])} at {_point(o['position'])}") for o in cell["obstacles"]),
-        ("workspace", ", ".join(f"{axis} {_range(cell['workspace'][axis])}" for axis in "xy") + " m"),
+        ("workspace", f"x [{x_low:g}, {x_high:g}], y [{y_low:g}, {y_high:g}] m"),
         ("clearance", ", ".join(f"{name.replace('_', '-')} {_mm(d)}" for name, d in cell["clearance"].items())),
     )
 
@@ -118,12 +119,12 @@ def _show_robot(console: Console, robot: dict[str, Any]) -> None:
         ("inverse kinematics", f"{ik['solver']}; {solved}"),
         ("links without a body", ", ".join(bare) or "none that moves"),
     )
-    joints = _table("joint", "moves", "lower", "upper", "speed", "home", right=4)
+    joints = plain_table("joint", "moves", "lower", "upper", "speed", "home", right=4)
     for joint in robot["joints"]:
         numbers = [f"{joint[key]:.3f}" for key in ("lower", "upper", "speed", "home")]
         joints.add_row(escape(joint["name"]), "slides" if joint["slides"] else "turns", *numbers)
     console.print(joints)
-    links = _table("link", "moved by", "bodies [mm]")
+    links = plain_table("link", "moved by", "bodies [mm]")
     for link in robot["bodies"]:
         links.add_row(escape(link["link"]), escape(link["moved_by"]), escape(counted_bodies(link["bodies"])))
     console.print(links if robot["bodies"] else "the robot has no body: no part of the arm is tested for collision")
@@ -153,7 +154,7 @@ def _show_object(console: Console, model: dict[str, Any]) -> None:
 
 def _show_placements(console: Console, model: dict[str, Any], grasps: dict[str, Any] | None) -> None:
     headings = ["placement", "height [mm]", "centre of mass [mm]", "margin"]
-    table = _table(*headings, *(["grasps that the table leaves"] if grasps else []), right=5)
+    table = plain_table(*headings, *(["grasps that the table leaves"] if grasps else []), right=5)
     for number, placement in enumerate(model["placements"]):
         heights = (f"{1e3 * placement[key]:.1f}" for key in ("height", "center_height"))
         left = [f"{grasps['left_by_table'][number]} of {grasps['count']}"] if grasps else []
@@ -177,25 +178,9 @@ def _facts(console: Console, *facts: tuple[str, str]) -> None:
         console.print(f"  {escape(name)}: {escape(text)}", soft_wrap=True)
 
 
-def _table(*headings: str, right: int = 0) -> Table:
-    table = Table(box=None, header_style="bold")
-    for number, heading in enumerate(headings):
-        justify = "right" if number >= len(headings) - right else "left"
-        table.add_column(escape(heading), justify=justify)  # type: ignore[arg-type]
-    return table
-
-
 def _mm(*lengths: float, by: str = " x ") -> str:
     return f"{by.join(f'{round(1e3 * length, 1) + 0.0:.1f}' for length in lengths)} mm"
 
 
-def _m(lengths: Iterable[float]) -> str:
-    return " x ".join(f"{length:g}" for length in lengths) + " m"
-
-
 def _point(point: Iterable[float]) -> str:
     return f"({', '.join(f'{x:g}' for x in point)})"
-
-
-def _range(ends: Iterable[float]) -> str:
-    return f"[{', '.join(f'{x:g}' for x in ends)}]"

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 from rich.markup import escape
-from rich.table import Table
 
-from regrasp_opt.cli.output import make_console, working
+from regrasp_opt.cli.output import make_console, plain_table, working
 from regrasp_opt.motion import MotionOptions, MotionPlan, plan_motion
 from regrasp_opt.motion.trajectory.motion_plan import check_step
 from regrasp_opt.motion.trajectory.scene_export import save_scene
@@ -74,9 +73,8 @@ def show(motion: MotionPlan) -> None:
         console.print(f"[bold red]{motion.status.name}[/]: {motion.status.value}")
         console.print(escape(motion.reason), soft_wrap=True)
         return
-    table = Table(box=None, header_style="bold")
-    for heading in ("move", "grasp", "phase", "from [s]", "takes [s]", "joint travel [rad]", "peak speed"):
-        table.add_column(escape(heading), justify="left" if heading == "phase" else "right")
+    numbers = "from [s]", "takes [s]", "joint travel [rad]", "peak speed"
+    table = plain_table("move", "grasp", "phase", *numbers, right=len(numbers))
     for segment, start in zip(motion.segments, motion.starts.tolist(), strict=True):
         path = segment.trajectory
         travel = float(np.abs(np.diff(path.positions, axis=0)).sum(axis=0).max())

@@ -7,7 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import Progress, ProgressColumn, SpinnerColumn, Task, TextColumn, TimeElapsedColumn
+from rich.table import Table
 from rich.text import Text
 
 PIPE_WIDTH = 140
@@ -18,6 +20,14 @@ def make_console(*, stderr: bool = False) -> Console:
     """Return a console on stdout or stderr; ``NO_COLOR`` is honoured."""
     stream = sys.stderr if stderr else sys.stdout
     return Console(stderr=stderr, highlight=False, width=None if stream.isatty() else PIPE_WIDTH)
+
+
+def plain_table(*headings: str, right: int = 0) -> Table:
+    """Return a table without lines; the last `right` columns are aligned to the right."""
+    table = Table(box=None, header_style="bold")
+    for left, heading in zip(range(len(headings), 0, -1), headings, strict=True):
+        table.add_column(escape(heading), justify="right" if left <= right else "left")
+    return table
 
 
 class _TimeLeft(ProgressColumn):

@@ -9,10 +9,8 @@ from typing import Any
 
 import numpy as np
 from rich.markup import escape
-from rich.table import Table
 
-from regrasp_opt.cli.output import make_console, working
-from regrasp_opt.cli.prepare import progress_bars
+from regrasp_opt.cli.output import make_console, plain_table, working
 from regrasp_opt.conventions import as_seed
 from regrasp_opt.errors import RegraspError
 from regrasp_opt.planning import RegraspPlan, RegraspProblem, solve_sequence
@@ -37,7 +35,9 @@ def run_plan(
 ) -> int:
     """Plan with the options `search` of `solve_sequence`, print and save; return 0 if solved, else 1."""
     if search["refiner"] != EXACT and problem.energy_file is None:
-        with progress_bars() as show:
+        from regrasp_opt.benchmarks.harness.runner import progress
+
+        with progress() as show:
             train_arm_energy(problem.workcell, progress=show)
     energy = problem.energy_file
     logger.info("%d grasps, %d placements, energy %s", len(problem.grasps), len(problem.placements), energy)
@@ -85,9 +85,7 @@ def _print(plan: RegraspPlan, written: list[Path]) -> None:
             f"{escape(problem.object.name)} in {escape(problem.workcell.name)}: {plan.num_regrasps} regrasp(s), "
             f"J_seq {plan.cost:.2f}, {plan.timings['total']:.2f} s"
         )
-        table = Table(box=None, header_style="bold")
-        for heading in ("move", "from", "to", "shared grasps", "clearance [mm]"):
-            table.add_column(escape(heading), justify="left" if heading in ("from", "to") else "right")
+        table = plain_table("move", "from", "to", "shared grasps", "clearance [mm]", right=2)
         for i, transition in enumerate(plan.transitions):
             clearance = f"{1e3 * transition.clearance.max():.1f}"
             ends = [describe_pose(T, problem.placement_poses) for T in plan.poses[i : i + 2]]

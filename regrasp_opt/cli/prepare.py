@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from typing import Any
 
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
-from regrasp_opt.cli.output import make_console
+from regrasp_opt.benchmarks.harness.runner import progress
+from regrasp_opt.cli.output import make_console, plain_table
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.planning.arm_energy import train_arm_energy
 from regrasp_opt.planning.prepare import prepare
@@ -21,25 +18,9 @@ from regrasp_opt.scene import Workcell
 logger = logging.getLogger(__name__)
 
 
-@contextmanager
-def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
-    """Yield a function that shows (what is being done, done, to do) as bars, on a terminal."""
-    errors = make_console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=errors, disable=not errors.is_terminal, transient=True) as bar:
-        rows: dict[str, int] = {}
-
-        def show(what: str, done: int, total: int) -> None:
-            if what not in rows:
-                rows[what] = int(bar.add_task(what, total=total))
-            bar.update(rows[what], completed=done, total=total)  # type: ignore[arg-type]
-
-        yield show
-
-
 def run_prepare(workcell: Workcell, as_json: bool, **options: Any) -> int:
     """Train the energy of an arm with the `options` of `train_arm_energy`, with progress on a terminal; return 0."""
-    with progress_bars() as show:
+    with progress() as show:
         path, card = train_arm_energy(workcell, progress=show, **options)
     logger.info("seconds: %s", {name: round(seconds, 2) for name, seconds in card["times"].items()})
     if as_json:
@@ -58,7 +39,7 @@ def run_prepare(workcell: Workcell, as_json: bool, **options: Any) -> int:
 
 def run_prepare_object(model: ObjectModel, workcell: Workcell, as_json: bool, **options: Any) -> int:
     """Prepare a model of an object with the `options` of `prepare`, with progress on a terminal; return 0."""
-    with progress_bars() as show:
+    with progress() as show:
         folder, report = prepare(model, workcell, progress=show, **options)
     logger.info("seconds: %s", {name: round(seconds, 2) for name, seconds in report["times"].items()})
     if as_json:
@@ -69,9 +50,7 @@ def run_prepare_object(model: ObjectModel, workcell: Workcell, as_json: bool, **
         f"[bold green]prepared[/] {escape(model.name)} for {escape(workcell.name)}: {report['grasps']} grasps, "
         f"{report['placements']} placements, {report['feasible_pairs']} feasible of {report['pairs']} pairs"
     )
-    table = Table(box=None, header_style="bold")
-    for heading in ("energy", "held-out AP", "AUROC", "F1", "shared F1", "h"):
-        table.add_column(escape(heading), justify="left" if heading == "energy" else "right")
+    table = plain_table("energy", "held-out AP", "AUROC", "F1", "shared F1", "h", right=5)
     for name, held_out in report["held_out"].items():
         figures = [held_out[key] for key in ("average_precision", "auroc", "f1", "shared_f1")]
         table.add_row(name, *(f"{value:.3f}" for value in (*figures, report["threshold"][name])))

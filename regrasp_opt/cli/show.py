@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import json
 import logging
+from contextlib import suppress
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -27,7 +31,7 @@ def run_show(
     port: int,
     as_json: bool,
 ) -> int:
-    """Write the page and the plots that are asked for, or serve a live view until interrupted; return 0.
+    """Write the page and the plots that are asked for, or serve the page until interrupted; return 0.
 
     With the file of a motion the slider runs over that. With the name of a refiner as `candidates` it plans once more
     and shows that refiner's candidates by iteration.
@@ -40,33 +44,47 @@ def run_show(
             trace = trace_candidates(plan, candidates)
         logger.info("%d candidates in %d frames", *trace.cost.T.shape)
     if html is None and plots is None:
-        from regrasp_opt.viz.scene import plan_scene
-        from regrasp_opt.viz.viewer import PlanViewer
-
-        with working("drawing"):
-            viewer = PlanViewer(plan_scene(plan, track, trace), port)
-        if as_json:
-            print(json.dumps({"url": viewer.url}), flush=True)
-        make_console(stderr=True).print(f"open {viewer.url} in a browser; end with Ctrl+C", soft_wrap=True)
-        try:
-            viewer.wait()
-        except KeyboardInterrupt:
-            viewer.stop()
+        with TemporaryDirectory() as folder:
+            with working("drawing"):
+                write_plan_page(plan, Path(folder) / "index.html", track, trace)
+            _serve(folder, port, as_json)
         return 0
-    drawn: list[Path] = []
+    written: list[Path] = []
     with working("drawing"):
         if html is not None:
             write_plan_page(plan, html, track, trace)
+            written.append(html)
         if plots is not None:
-            from regrasp_opt.cli.plots import write_plan_plots
+            from regrasp_opt.viz.plots import write_plan_plots
 
-            drawn = write_plan_plots(plan, trace, plots)
+            written += write_plan_plots(plan, trace, plots)
     if as_json:
-        print(json.dumps({"html": None if html is None else str(html), "plots": [str(path) for path in drawn]}))
+        drawn = [str(path) for path in written if path != html]
+        print(json.dumps({"html": None if html is None else str(html), "plots": drawn}))
         return 0
-    for path in ([] if html is None else [html]) + drawn:
+    for path in written:
         make_console().print(f"written: {path}", markup=False, soft_wrap=True)
     return 0
+
+
+class _Handler(SimpleHTTPRequestHandler):
+    def log_message(self, format: str, *arguments: object) -> None:
+        logger.info(format, *arguments)
+
+
+def _serve(folder: str, port: int, as_json: bool) -> None:
+    """Serve `folder` to this machine alone until interrupted, at `port`, or at a free one if that is in use."""
+    handler = partial(_Handler, directory=folder)
+    try:
+        server = ThreadingHTTPServer(("127.0.0.1", port), handler)
+    except OSError:
+        server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    with server, suppress(KeyboardInterrupt):
+        url = f"http://127.0.0.1:{server.server_port}"
+        if as_json:
+            print(json.dumps({"url": url}), flush=True)
+        make_console(stderr=True).print(f"open {url} in a browser; end with Ctrl+C", soft_wrap=True)
+        server.serve_forever()
 
 
 def _track(plan: RegraspPlan, path: Path, file: Path) -> Track:

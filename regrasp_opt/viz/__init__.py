@@ -1,4 +1,4 @@
-"""Pictures of plans: a page, a live viewer, plots."""
+"""Pictures of plans: a page and plots."""
 
 from regrasp_opt.viz.candidates import CandidateTrace, trace_candidates
 from regrasp_opt.viz.page import write_plan_page, write_problem_page

@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from regrasp_opt.connectivity.costs import CostOptions, sequence_cost
-from regrasp_opt.connectivity.objective import BLOCKED, block, exact_energy
-from regrasp_opt.conventions import FloatArray, planar_transform
+from regrasp_opt.connectivity.objective import BLOCKED, exact_energy
+from regrasp_opt.conventions import FloatArray
 from regrasp_opt.planning import RegraspPlan
 
 STEP = 0.02
@@ -54,13 +53,10 @@ def cost_field(plan: RegraspPlan, number: int, turn: float = 0.0) -> CostField:
     problem = plan.problem
     low, high = problem.workcell.bounds.array
     x, y = (np.linspace(a, b, round((b - a) / STEP) + 1) for a, b in zip(low, high, strict=True))
-    placement, theta = int(plan.placements[number - 1]), float(plan.xi[number - 1, 2]) + turn
-    xi = np.stack([*np.meshgrid(x, y), np.full((len(y), len(x)), theta)], axis=-1).reshape(-1, 3)
-    learned = problem.energy(planar_transform(xi) @ problem.placement_poses[placement], np.float32)
-    moved = block(learned, problem.ruled_out(np.full(len(xi), placement), xi))
-    ends = {i: exact_energy(problem.feasible_grasps(plan.poses[i])) for i in (0, plan.num_regrasps + 1)}
-    others = problem.energy(plan.poses, np.float32)
-    known = {i: np.broadcast_to(ends.get(i, others[i]), moved.shape) for i in range(len(plan.poses))}
-    chain = np.stack([moved if i == number else energies for i, energies in known.items()], axis=1)
-    cost = sequence_cost(chain, CostOptions()).reshape(len(y), len(x))
-    return CostField(number, x, y, np.minimum(cost, BLOCKED), plan.xi[number - 1, :2])
+    xi = np.tile(plan.xi, (len(y), len(x), 1, 1))
+    xi[..., number - 1, :2] = np.stack(np.meshgrid(x, y), axis=-1)
+    xi[..., number - 1, 2] += turn
+    start, goal = (exact_energy(problem.feasible_grasps(plan.poses[i])) for i in (0, -1))
+    placements = np.tile(plan.placements, (x.size * y.size, 1))
+    cost = problem.objective(start, goal).cost(placements, xi.reshape(-1, *plan.xi.shape), np.float32)
+    return CostField(number, x, y, np.minimum(cost.reshape(len(y), len(x)), BLOCKED), plan.xi[number - 1, :2])

@@ -43,7 +43,6 @@ class Part(NamedTuple):
     surface: Patch
     colour: str
     body: int
-    opacity: float = 1.0
 
 
 def robot_parts(robot: Robot, T_world_base: FloatArray) -> list[Part]:

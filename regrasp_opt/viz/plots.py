@@ -1,25 +1,70 @@
-"""Plots of a plan's cost over the poses that were possible, with matplotlib (extra ``viz``).
+"""Plots of a plan's cost with matplotlib (extra ``viz``): over the poses that were possible, and by iteration.
 
 They use the colours of the page: cost runs from dark to light, and no two things are told apart by hue alone.
 """
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from regrasp_opt.connectivity.objective import exact_energy
 from regrasp_opt.errors import OptionError
+from regrasp_opt.files import atomic_path
 from regrasp_opt.planning import RegraspPlan
 from regrasp_opt.solvers.lattice import YAWS
-from regrasp_opt.viz.candidates import RANGE
-from regrasp_opt.viz.curves import INKS, pyplot
-from regrasp_opt.viz.fields import cost_field
+from regrasp_opt.viz.candidates import RANGE, CandidateTrace
+from regrasp_opt.viz.fields import cost_field, has_energy
 
 COLOURS = "viridis"
 
-START, HERE, GOAL = INKS[:3]
+START, HERE, GOAL = "#0072b2", "#d55e00", "#009e73"
+"""Colours that colour-blind people tell apart (Okabe and Ito)."""
+
+
+def pyplot() -> Any:
+    """Return matplotlib's pyplot.
+
+    Raises
+    ------
+    OptionError
+        If matplotlib is not installed.
+    """
+    try:
+        import matplotlib.pyplot as plt
+    except ImportError as error:
+        raise OptionError("plots need matplotlib; install 'regrasp-opt[viz]'") from error
+    return plt
+
+
+def write_plan_plots(plan: RegraspPlan, trace: CandidateTrace | None, folder: Path) -> list[Path]:
+    """Write the cost over the table for each intermediate pose, over all lattice poses, and by iteration.
+
+    Raises
+    ------
+    OptionError
+        If matplotlib or the energy is missing, or the plan has no intermediate pose.
+    """
+    if not has_energy(plan):
+        raise OptionError("the plots show the cost, which needs an energy; run 'regrasp-opt prepare WORKCELL' first")
+    if plan.num_regrasps == 0 and trace is None:
+        raise OptionError("the plan has no intermediate pose whose cost could be plotted")
+    plt = pyplot()
+    plt.switch_backend("agg")
+    figures = {f"landscape-{i}": plot_cost_landscape(plan, i) for i in range(1, plan.num_regrasps + 1)}
+    if plan.num_regrasps == 1:
+        figures["poses"] = plot_pose_distribution(plan)
+    if trace is not None:
+        figures["candidates"] = plot_cost_traces(trace)
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = {folder / f"{name}.png": figure for name, figure in figures.items()}
+    for path, figure in paths.items():
+        with atomic_path(path) as temporary:
+            figure.savefig(temporary, dpi=120, format="png")
+        plt.close(figure)
+    return list(paths)
 
 
 def plot_cost_landscape(plan: RegraspPlan, number: int = 1, turns: int = 4) -> Any:
@@ -94,6 +139,29 @@ def plot_pose_distribution(plan: RegraspPlan) -> Any:
         ax.set_title(f"placement {number}: best {cost[here].min():.1f}")
     _label(figure, axes, arrows)
     figure.suptitle(f"{problem.object.name}: cost of one intermediate pose, by stable placement")
+    return figure
+
+
+def plot_cost_traces(trace: CandidateTrace) -> Any:
+    """Return a matplotlib figure of `J_seq` (Eq. 5) of the candidates against the iteration.
+
+    The line that ends in a star became the plan. Costs far above the least are cut off at the top.
+    """
+    plt = pyplot()
+    figure, ax = plt.subplots(figsize=(5.4, 3.4), layout="constrained")
+    frames, count = trace.cost.shape
+    for b in range(count):
+        picked = b == trace.accepted
+        style = {"color": HERE, "linewidth": 2.2, "zorder": 3} if picked else {"color": START, "alpha": 0.5}
+        ax.plot(range(frames), trace.cost[:, b], **style)
+        if picked:
+            ax.plot(frames - 1, trace.cost[-1, b], "*", color=HERE, markersize=14, zorder=4, label="the plan")
+            ax.legend()
+    low, high = float(trace.cost.min()), float(trace.cost.max())
+    ax.set_ylim(low - 0.05 * min(high - low, RANGE) - 0.01, min(high, low + 2 * RANGE) + 0.01)
+    ax.set_xlabel("iteration")
+    ax.set_ylabel("J_seq")
+    ax.set_title(f"{trace.refiner}: {count} candidates, {trace.xi.shape[2]} intermediate pose(s)")
     return figure
 
 

@@ -1,6 +1,6 @@
 """What there is to see of a plan: parts, where they are at each step, the shared grasps, and the cost over the table.
 
-The page and the viewer draw the same `PlanScene`. A step is a pick or a place, or a moment of a motion.
+The page draws a `PlanScene`. A step is a pick or a place, or a moment of a motion.
 """
 
 from __future__ import annotations
@@ -104,11 +104,6 @@ class PlanScene:
     eye: FloatArray
     target: FloatArray
     candidates: CandidateTrace | None = None
-
-    @property
-    def object_body(self) -> int:
-        """Number of the object among the moving bodies."""
-        return self.states.shape[1] - 1
 
 
 def plan_scene(plan: RegraspPlan, track: Track | None = None, candidates: CandidateTrace | None = None) -> PlanScene:

@@ -1,4 +1,4 @@
-"""A motion as the viewers need it: moments with configuration, opening of the jaw and pose of the object."""
+"""A motion as the page needs it: moments with configuration, opening of the jaw and pose of the object."""
 
 from __future__ import annotations
 

@@ -1,26 +1,20 @@
 """Every experiment, at a size of seconds, on the bottle and on a folder with a broken mesh."""
 
 import json
-import sys
-from importlib.util import find_spec
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from regrasp_opt.benchmarks.comparisons import ablations, embedding, joint, refiners
-from regrasp_opt.benchmarks.harness import models, runner
+from regrasp_opt.benchmarks.comparisons import ablations, joint, refiners
+from regrasp_opt.benchmarks.harness import models
 from regrasp_opt.benchmarks.harness import session as session_module
-from regrasp_opt.benchmarks.harness.instances import random_instances
 from regrasp_opt.benchmarks.harness.oracle import Resolution
-from regrasp_opt.benchmarks.harness.report import Report, write_report
-from regrasp_opt.benchmarks.harness.runner import Item
+from regrasp_opt.benchmarks.harness.report import write_report
 from regrasp_opt.benchmarks.harness.session import Session
 from regrasp_opt.benchmarks.paper import cost_sweep, cross_effector, hard_tiers, multi_step, one_step
 from regrasp_opt.benchmarks.paper.published import CROSS_EFFECTOR, END_EFFECTORS, MULTI_STEP, ONE_STEP
 from regrasp_opt.cli.app import run
 from regrasp_opt.cli.bench import EXPERIMENTS
-from regrasp_opt.cli.plots import write_bench_plots
 from regrasp_opt.connectivity import CostOptions, block, exact_energy, sequence_cost
 from regrasp_opt.conventions import planar_transform
 from regrasp_opt.energy.model import GraspEnergy
@@ -97,26 +91,6 @@ def test_hard_tiers_and_refiners_share_their_instances(session, monkeypatch):
     assert graph and all(row["num_regrasps"] == row["minimum"] for row in graph)
 
 
-def test_the_conclusion_names_the_fastest_of_the_most_successful():
-    def row(planner, pair, seconds, solved=True, regrasps=1):
-        effort = {"cost": -seconds, "evaluations": 30, "solves": 2, "before": 100.0}
-        found = {"solved": solved, "num_regrasps": regrasps, "first_verified": seconds}
-        return {"planner": planner, "pair": pair, "minimum": 1, **effort, **found}
-
-    seconds = {name: 2.0 for name in (refiners.GRAPH, *refiners.PLANNERS)} | {"lattice": 0.5, "Langevin": 0.1}
-    rows = [row(name, pair, s) for name, s in seconds.items() for pair in "ab"]
-    worse = [r | {"solved": r["pair"] == "a"} if r["planner"] == "Langevin" else r for r in rows]
-    longer = [r | {"num_regrasps": 2} if r["planner"] == "Langevin" else r for r in rows]
-    for given, winner in ((rows, "Langevin"), (worse, "lattice"), (longer, "lattice")):
-        first, second = refiners._conclusion(given).split("\n\n")
-        assert first.startswith(f"'{winner}' wins") and ("the ranking" in first) == (winner == "lattice")
-        assert "1500 ms over the lattice" in second and "takes 15 evaluations" in second
-        assert "adds no success" in second
-    fewer = [r | {"solved": r["pair"] == "a"} if r["planner"] == "lattice" else r for r in rows]
-    assert "solves 50.0 % more pairs than the lattice alone" in refiners._conclusion(fewer)
-    assert refiners._conclusion([r for r in rows if r["planner"] != "lattice"]) == ""
-
-
 def test_cross_effector(session, monkeypatch):
     tiny = cross_effector.TransferSizes(("w", "s1"), 1, 1, 500, Resolution(0.2, 4))
     monkeypatch.setattr(cross_effector, "QUICK", tiny)
@@ -163,41 +137,6 @@ def test_ablations(session, monkeypatch):
     assert ap["default"] == ap["lambda_reg 0"] > ap["samples / 4"]
 
 
-def test_embedding(session, monkeypatch):
-    monkeypatch.setattr(embedding, "REPEATS", 1)
-    monkeypatch.setattr(embedding, "REGRASPS", (1, 2))
-    rows = check(embedding.run_embedding(session), session)
-    assert [row["N"] for row in rows] == list(embedding.REGRASPS)
-    for row in rows:
-        assert row["opti_cost"] == pytest.approx(row["plain_cost"], abs=1e-6)
-        assert row["opti_cost"] == pytest.approx(row["nlp_cost"], abs=1e-6)
-        assert all(row[f"{way}_ms"] > 0 for way in embedding.WAYS)
-
-
-def test_a_pair_without_a_chance_is_a_row(bottle_problem, monkeypatch):
-    [pair] = random_instances(bottle_problem, np.random.default_rng(0), 1, "bottle")
-    monkeypatch.setattr("regrasp_opt.solvers.lattice.LEAST_CHANCE", 1.0)
-    item = Item("bottle/0/1", "", embedding.embedding_rows, (bottle_problem, pair, 1), {"N": 1})
-    _, content = runner._compute(Path("item.json"), item, "r1")
-    assert "has a chance" in content["rows"][0]["error"]
-    assert embedding._table(content["rows"]).rows == ()
-
-
-def test_plots_are_refused_before_anything_is_measured(tmp_path, monkeypatch):
-    measured = []
-    monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
-    monkeypatch.setitem(EXPERIMENTS, "cost-sweep", measured.append)
-    assert run(["bench", "cost-sweep", "--quick", "--out", str(tmp_path), "--plots"]) == 2
-    assert measured == []
-
-
-def test_nothing_is_plotted_where_no_pair_was_solved(tmp_path):
-    pytest.importorskip("matplotlib", reason="matplotlib is not installed")
-    rows = [{"object": "bottle", "planner": "ours", "solved": False, "first_verified": None}]
-    report = Report("multi-step", "Multi-step search", "", (), rows, instances={}, revisions=(), settings={})
-    assert write_bench_plots(report, tmp_path) == []
-
-
 def test_a_broken_mesh_is_a_row_and_the_rest_runs_on(session, tmp_path, monkeypatch):
     monkeypatch.setattr(cost_sweep, "SUMS", {True: 1})
     monkeypatch.setattr(cost_sweep, "PAIRS", {True: 0})
@@ -224,12 +163,11 @@ def test_the_command_writes_its_files(session, tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(EXPERIMENTS, "cost-sweep", lambda s: cost_sweep.run_cost_sweep(session))
     monkeypatch.setattr(cost_sweep, "SUMS", {True: 1})
     monkeypatch.setattr(cost_sweep, "PAIRS", {True: 1})
-    plots = ["--plots"] if find_spec("matplotlib") else []
-    assert run(["bench", "cost-sweep", "--quick", "--out", str(tmp_path), *plots]) == 0
+    assert run(["bench", "cost-sweep", "--quick", "--out", str(tmp_path)]) == 0
     assert "AP shared" in capsys.readouterr().out
-    assert len(list((tmp_path / "cost-sweep").glob("sweep-*.png"))) == len(plots)
     summary = json.loads((tmp_path / "cost-sweep" / "summary.json").read_text(encoding="utf-8"))
     assert summary["name"] == "cost-sweep" and (tmp_path / "benchmarks.md").is_file()
+    assert (tmp_path / "cost-sweep" / "cost-sweep.md").read_text("utf-8").startswith("# Energy compositionality")
 
 
 def test_the_papers_tables_are_whole():

@@ -1,5 +1,6 @@
 import json
 import re
+from dataclasses import replace
 
 import plotly.graph_objects as go
 import pytest
@@ -38,14 +39,29 @@ def test_the_summary_says_what_how_and_on_what(report, tmp_path):
 def test_the_page_is_one_file_that_needs_no_network(report, tmp_path):
     write_report(report, tmp_path)
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
-    assert "Shares &lt;&amp;&gt;" in page and "<td>97.5</td><td>-</td>" in page and "cup.stl: no solid" in page
+    assert "Shares &lt;&amp;&gt;" in page and "<td>97.5</td>\n<td>-</td>" in page
+    assert "<code>cup.stl</code>: no solid" in page
     assert not re.findall(r"<(?:script|link|img)[^>]+(?:src|href)\s*=\s*['\"]?(?:https?:)?//", page)
+
+
+def test_both_pages_say_the_same_and_how_they_were_made(report, tmp_path):
+    write_report(replace(report, settings={"seed": 0, "quick": True}), tmp_path)
+    text = (tmp_path / "one-step.md").read_text(encoding="utf-8")
+    assert text.startswith("# One step\n\nThis page is written by `regrasp-opt bench one-step`.\n")
+    assert "Command: `regrasp-opt bench one-step --quick`. Settings: seed 0, quick True. Code: r1." in text
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+    assert (
+        page.index("<h1>One step</h1>")
+        < page.index("<p>A note.</p>")
+        < page.index("<h2>A curve</h2>")
+        < page.index("Plotly.newPlot")
+    )
 
 
 def test_the_document_collects_every_experiment(report, tmp_path):
     write_report(report, tmp_path / "one-step")
-    (tmp_path / "speed").mkdir()
-    (tmp_path / "speed" / "summary.json").write_text("{}", encoding="utf-8")
+    (tmp_path / "older").mkdir()
+    (tmp_path / "older" / "summary.json").write_text("{}", encoding="utf-8")
     write_document(tmp_path, tmp_path / "benchmarks.md")
     text = (tmp_path / "benchmarks.md").read_text(encoding="utf-8")
     assert "## One step" in text and "| bottle | 97.5 | - |" in text and "`cup.stl`: no solid" in text

@@ -1,19 +1,20 @@
-"""`show` and `bench --plots`: what is drawn of which plan and experiment, and the live view until Ctrl-C."""
+"""`show`: what is drawn of which plan, and the page that is served until Ctrl-C."""
 
-import sys
+import socket
+import threading
 from dataclasses import replace
-from types import SimpleNamespace
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
 from command import assert_refused, in_process
 
-from regrasp_opt.benchmarks.harness.report import Report
-from regrasp_opt.cli.plots import write_bench_plots, write_plan_plots
+from regrasp_opt.cli import show
 from regrasp_opt.errors import OptionError
 from regrasp_opt.motion import MotionPlan, MotionStatus
 from regrasp_opt.planning import RegraspPlan, solve_sequence
 from regrasp_opt.planning.tasks import random_task
+from regrasp_opt.viz.plots import write_plan_plots
 
 
 @pytest.fixture(scope="module")
@@ -27,33 +28,34 @@ def path(bottle_problem, tmp_path_factory):
     return file
 
 
-@pytest.fixture
-def viewers(monkeypatch):
-    """Put a viewer in the place of the live one, whose user presses Ctrl-C at once; return those that were opened."""
-    opened = []
+def visit(monkeypatch, seen):
+    """Let a browser open what is served, and its user press Ctrl-C then."""
 
-    class Viewer:
-        def __init__(self, scene, port):
-            self.scene, self.url, self.stopped = scene, f"http://localhost:{port}", False
-            opened.append(self)
+    def once(server):
+        answers = threading.Thread(target=server.handle_request)
+        answers.start()
+        with urlopen(f"http://127.0.0.1:{server.server_port}") as answer:
+            seen.append((server.server_address, answer.headers["Content-Type"], answer.read().decode("utf-8")))
+        answers.join()
+        raise KeyboardInterrupt
 
-        def wait(self):
-            raise KeyboardInterrupt
-
-        def stop(self):
-            self.stopped = True
-
-    monkeypatch.setitem(sys.modules, "regrasp_opt.viz.viewer", SimpleNamespace(PlanViewer=Viewer))
-    return opened
+    monkeypatch.setattr(show.ThreadingHTTPServer, "serve_forever", once)
 
 
-def test_the_live_view_is_served_until_it_is_interrupted(path, viewers, capsys):
-    outcome = in_process(capsys, "show", path, "--port", 8123)
-    assert (outcome.code, outcome.out) == (0, "")
-    assert outcome.err == "open http://localhost:8123 in a browser; end with Ctrl+C\n"
-    assert in_process(capsys, "show", path, "--port", 8124, "--json").data == {"url": "http://localhost:8124"}
-    assert [viewer.stopped for viewer in viewers] == [True, True]
-    assert viewers[0].scene.title.startswith("bottle in nova2-w")
+def test_the_page_is_served_to_this_machine_until_it_is_interrupted(path, tmp_path, monkeypatch, capsys):
+    seen = []
+    visit(monkeypatch, seen)
+    with socket.create_server(("127.0.0.1", 0)) as busy:
+        taken = busy.getsockname()[1]
+        outcome = in_process(capsys, "show", path, "--port", taken, "--json")
+    [((host, port), kind, page)] = seen
+    assert (outcome.code, outcome.data) == (0, {"url": f"http://127.0.0.1:{port}"}) and port != taken
+    assert outcome.err == f"open http://127.0.0.1:{port} in a browser; end with Ctrl+C\n"
+    assert host == "127.0.0.1" and kind == "text/html"
+    assert in_process(capsys, "show", path, "--html", tmp_path / "page.html").code == 0
+    assert page == (tmp_path / "page.html").read_text("utf-8")
+    outcome = in_process(capsys, "show", path, "--port", port)
+    assert (outcome.code, outcome.out) == (0, "") and seen[1][0] == (host, port)
 
 
 def test_a_motion_that_was_not_found_cannot_be_shown(path, tmp_path, capsys):
@@ -82,25 +84,3 @@ def test_plans_without_a_cost_or_a_pose_have_no_plots(path, bottle_problem, tmp_
     with pytest.raises(OptionError, match="no intermediate pose whose cost could be plotted"):
         write_plan_plots(direct, None, tmp_path / "plots")
     assert not (tmp_path / "plots").exists()
-
-
-def report(name, rows):
-    return Report(name, name, "", (), rows, settings={"time limit [s]": 10.0})
-
-
-def test_curves_over_time_are_drawn_of_our_planner_or_of_all_that_are_compared(tmp_path):
-    pytest.importorskip("matplotlib", reason="matplotlib is not installed")
-    rows = [
-        {"object": "mug", "planner": planner, "solved": solved, "first_verified": 0.5 if solved else None}
-        for planner, solved in (("ours", True), ("ours", False), ("paper's method", False))
-    ]
-    for name in ("multi-step", "refiners"):
-        folder = tmp_path / name
-        assert write_bench_plots(report(name, [*rows, {"object": "x", "error": "none"}]), folder) == [
-            folder / "anytime.png"
-        ]
-        assert (folder / "anytime.png").read_bytes().startswith(b"\x89PNG")
-    unsolved = [row | {"solved": False} for row in rows]
-    assert write_bench_plots(report("refiners", unsolved), tmp_path / "none") == []
-    assert write_bench_plots(report("one-step", rows), tmp_path / "none") == []
-    assert not (tmp_path / "none").exists()

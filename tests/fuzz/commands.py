@@ -45,7 +45,7 @@ _HARMLESS = {
     "prepare": ("--samples", "0"),
     "bench": ("--objects", "none"),
 }
-"""What is put at the end of a line with this command: no long search, live view, training or experiment begins."""
+"""What is put at the end of a line with this command: no long search, served page, training or experiment begins."""
 
 
 def command_lines(folder: Path) -> list[tuple[str, bytes]]:

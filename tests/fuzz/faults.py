@@ -36,9 +36,8 @@ interrupts.install()
 try:
     from regrasp_opt.benchmarks.harness import session
     from regrasp_opt.benchmarks.harness.oracle import Resolution
-    from regrasp_opt.cli import bench
     session.QUICK_GRID = Resolution(0.1, 6)
-    bench.Session = partial(session.Session, names=("bottle",))
+    session.Session = partial(session.Session, names=("bottle",))
     main()
 except KeyboardInterrupt:
     interrupts.leave(interrupts.conclude())

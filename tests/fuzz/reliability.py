@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
-from regrasp_opt.benchmarks.harness.report import Report, write_page, write_report
+from regrasp_opt.benchmarks.harness.report import Report, write_report
 from regrasp_opt.benchmarks.harness.runner import Item, Row
 from regrasp_opt.benchmarks.harness.session import Session
 from regrasp_opt.benchmarks.harness.subjects import planning_key, prepared_problem
@@ -208,7 +208,7 @@ def main(words: list[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     folder = session.folder / report.name
-    write_page(write_report(report, folder), folder / f"{report.name}.md")
+    write_report(report, folder)
     print(f"written: {folder / report.name}.md, {folder / 'index.html'}, {folder / 'summary.json'}")
     return 0
 

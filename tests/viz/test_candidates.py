@@ -1,4 +1,4 @@
-"""The candidates of a refiner by iteration: what is traced, and that page and viewer show it."""
+"""The candidates of a refiner by iteration: what is traced, and that the page shows it."""
 
 from dataclasses import dataclass, replace
 
@@ -8,8 +8,6 @@ import pytest
 from regrasp_opt import Recipe, RegraspError, solve_sequence
 from regrasp_opt.solvers import LangevinRefiner, Refinement
 from regrasp_opt.viz import candidates, trace_candidates, write_plan_page
-from regrasp_opt.viz.candidate_view import ACCEPTED
-from regrasp_opt.viz.scene import plan_scene
 
 
 @dataclass(frozen=True)
@@ -108,21 +106,3 @@ def test_the_page_steps_through_the_iterations(page, trace, browser, picture, co
     browser.find_element("id", "candidates").click()
     assert (np.abs(picture() - end).max(axis=-1) > 12).mean() > 0.005
     assert complaints() == []
-
-
-def test_the_viewer_shows_the_candidates_of_an_iteration(plan, trace):
-    pytest.importorskip("viser", reason="viser is not installed")
-    from regrasp_opt.viz.viewer import PlanViewer
-
-    viewer = PlanViewer(plan_scene(plan, candidates=trace), port=18532)
-    try:
-        view, last = viewer.candidates, len(trace.xi) - 1
-        for frame in (0, last, 2):
-            view.show(frame)
-            assert view.frame == frame and view.text == trace.label(frame)
-            for b in range(len(trace.cost[0])):
-                np.testing.assert_allclose(view.handles[b][0].position, trace.poses[frame, b, 0, :3, 3], atol=1e-6)
-            assert (view.trail is None) == (frame == 0)
-        assert tuple(view.handles[trace.accepted][0].color) == ACCEPTED
-    finally:
-        viewer.stop()

@@ -1,13 +1,12 @@
 """Plots show what they say, with units, and tell what to install."""
 
-import itertools
 import sys
 
 import numpy as np
 import pytest
 
 from regrasp_opt import RegraspError
-from regrasp_opt.viz import curves, fields, plots
+from regrasp_opt.viz import fields, plots
 
 
 @pytest.fixture
@@ -62,52 +61,10 @@ def test_without_matplotlib_one_sentence_says_what_to_install(plan, monkeypatch)
 
 
 def test_cost_traces_end_in_the_plan(trace, figures):
-    figure = curves.plot_cost_traces(trace)
+    figure = plots.plot_cost_traces(trace)
     [ax] = figure.axes
     lines = [np.asarray(line.get_ydata()) for line in ax.lines if len(np.atleast_1d(line.get_ydata())) > 1]
     np.testing.assert_allclose(lines, trace.cost.T)
     star = next(line for line in ax.lines if line.get_label() == "the plan")
     assert star.get_xydata()[0] == pytest.approx([len(trace.cost) - 1, trace.cost[-1, trace.accepted]])
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("iteration", "J_seq") and "ipopt" in ax.get_title()
-
-
-def test_sweeps_show_each_cost_for_each_number_of_grasps(figures):
-    rows = [
-        {
-            "step": s,
-            "grasps": n,
-            "J": s + n,
-            "J+": s,
-            "Jh": -s,
-            "shared_start": s,
-            "shared_goal": 3 - s,
-            "shared_all": 0,
-        }
-        for n in (50, 100)
-        for s in (1, 0, 2)
-    ]
-    figure = curves.plot_cost_sweep(rows, "bottle")
-    assert [ax.get_title() for ax in figure.axes] == ["J_seq", "J+_seq", "J^h_seq", "shared grasps (exact), of 100"]
-    assert [line.get_label() for line in figure.axes[0].lines] == ["50 grasps", "100 grasps"]
-    np.testing.assert_allclose(figure.axes[0].lines[1].get_xydata(), [[0, 100], [1, 101], [2, 102]])
-    assert [line.get_label() for line in figure.axes[3].lines] == ["with start", "with goal", "with all"]
-    np.testing.assert_allclose(figure.axes[3].lines[1].get_ydata(), [3, 2, 1])
-    with pytest.raises(RegraspError, match="bench cost-sweep"):
-        curves.plot_cost_sweep([], "nothing")
-
-
-def test_anytime_curves_rise_to_the_share_that_was_solved(figures):
-    figure = curves.plot_anytime({"good": [0.1, 2.0, 0.5, 1.0], "poor": [None, 3.0, None, None]}, "pairs", limit=20.0)
-    [ax] = figure.axes
-    good, poor = (line.get_xydata() for line in ax.lines)
-    np.testing.assert_allclose(good, [[0.08, 0], [0.1, 25], [0.5, 50], [1.0, 75], [2.0, 100], [20.0, 100]])
-    np.testing.assert_allclose(poor[-2:], [[3.0, 25], [20.0, 25]])
-    assert ax.get_xlabel() == "time [s]" and ax.get_ylabel().endswith("[%]") and ax.get_xscale() == "log"
-    with pytest.raises(RegraspError, match="no pair was solved"):
-        curves.plot_anytime({"poor": [None]}, "pairs")
-
-
-def test_lines_differ_in_more_than_their_hue():
-    styles = [style for style, _ in zip(curves._styles(), range(14), strict=False)]
-    assert len(set(styles)) == 14
-    assert all(a[1] != b[1] for a, b in itertools.pairwise(styles))

@@ -6,19 +6,17 @@ import time
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import plotly.graph_objects as go
 
 from regrasp_opt.benchmarks.harness import tables
 from regrasp_opt.benchmarks.harness.experiment import run_experiment
-from regrasp_opt.benchmarks.harness.generation import GENERATORS, OneStepTask, generate, verdicts
+from regrasp_opt.benchmarks.harness.generation import GENERATORS, OneStepTask, generate
 from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
 from regrasp_opt.benchmarks.harness.models import TrainingRequest
-from regrasp_opt.benchmarks.harness.report import Figure, Report, Table
+from regrasp_opt.benchmarks.harness.report import Report, Table
 from regrasp_opt.benchmarks.harness.runner import Item, Row
 from regrasp_opt.benchmarks.harness.session import Session
 from regrasp_opt.benchmarks.harness.subjects import problem_key, resident
 from regrasp_opt.connectivity import CostOptions
-from regrasp_opt.conventions import FloatArray
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
 from regrasp_opt.energy.training import PRESETS, TrainingOptions
 from regrasp_opt.files import content_hash
@@ -95,7 +93,6 @@ def run_ablations(session: Session) -> Report:
         TEXT,
         work,
         lambda rows, names: [_table(rows, name) for name in names],
-        figures=lambda rows, names: [Figure(f"Average precision: {name}", _figure(rows, name)) for name in names],
         settings={"samples": samples, "oracle": str(session.grid)},
         most=OBJECTS[session.quick],
     )
@@ -111,19 +108,19 @@ def measure_variant(
     held_out = model.metadata["held_out"]
     rows: list[Row] = [{"ap": held_out["average_precision"], "shared_f1": held_out["shared_f1"]}]
     for number, instance in enumerate(pairs):
-        task = OneStepTask.between(problem, energy, instance.ends)
+        task = OneStepTask(problem, energy, instance.ends)
         if not task.possible:
             rows.append({"pair": instance.name, "skipped": "no grasp of this set is feasible at one of the ends"})
             continue
-        rows.append({"pair": instance.name, **_measure(problem, task, variant, [seed, 71, number])})
+        rows.append({"pair": instance.name, **_measure(task, variant, [seed, 71, number])})
     return rows
 
 
-def _measure(problem: RegraspProblem, task: OneStepTask, variant: Variant, stream: list[int]) -> Row:
-    generator = GENERATORS["lattice"]()
+def _measure(task: OneStepTask, variant: Variant, stream: list[int]) -> Row:
+    generator = GENERATORS["lattice"]
     rng = np.random.default_rng(stream)
     found = generate(task, generator, variant.cost, PER_PLACEMENT, rng).take(slice(0, max(K_TOP)))
-    valid = verdicts(problem.checker, task.poses(found.placements[:, 0], found.xi[:, 0]), task.feasible)
+    valid = task.verdicts(found.placements[:, 0], found.xi[:, 0])
     starts = found.take(slice(0, SOLVES))
     objective = task.objective(generator, variant.cost)
     refiner = NlpRefiner()
@@ -131,8 +128,7 @@ def _measure(problem: RegraspProblem, task: OneStepTask, variant: Variant, strea
     began = time.perf_counter()
     refined = refiner.refine(objective, starts, rng)
     seconds = time.perf_counter() - began
-    xi: FloatArray = refined.candidates.xi[:, 0]
-    refined_valid = verdicts(problem.checker, task.poses(starts.placements[:, 0], xi), task.feasible)
+    refined_valid = task.verdicts(starts.placements[:, 0], refined.candidates.xi[:, 0])
     return {
         **{f"sv_{k}": float(valid[:k].mean()) for k in K_TOP},
         "sv_refined": float(refined_valid.mean()),
@@ -161,11 +157,3 @@ def _table(rows: list[Row], name: str) -> Table:
         "Costs of different energies are not comparable, and neither are their gains."
     )
     return tables.summary(name, ("variant",), groups, columns, note)
-
-
-def _figure(rows: list[Row], name: str) -> go.Figure:
-    values = {row["variant"]: row["ap"] for row in rows if row["object"] == name and "ap" in row}
-    figure = go.Figure(go.Bar(x=list(values), y=list(values.values())))
-    figure.update_yaxes(title_text="held-out AP", range=[min([0.9, *values.values()]) - 0.01, 1.0])
-    figure.update_layout(height=360, margin={"l": 60, "r": 10, "t": 10, "b": 110})
-    return figure

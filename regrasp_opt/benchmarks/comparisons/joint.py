@@ -50,10 +50,10 @@ def run_joint(session: Session) -> Report:
         items = []
         for k, pair in enumerate(pairs):
             if k < refined:
-                items.append(pair_item(name, problem, pair, refined_rows, seed, label=", refined", depends=[seed]))
+                items.append(pair_item(name, problem, pair, refined_rows, seed, label=", refined"))
             if k < thinned:
                 ids = np.sort(session.rng(41, number, k).permutation(len(problem.grasps))[:KEPT])
-                items.append(pair_item(name, problem, pair, thinned_rows, ids, seed, label=", thinned", depends=[seed]))
+                items.append(pair_item(name, problem, pair, thinned_rows, ids, seed, label=", thinned"))
         return items, instances_hash(pairs)
 
     return run_experiment(

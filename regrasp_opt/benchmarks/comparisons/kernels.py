@@ -15,9 +15,11 @@ import joblib
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from regrasp_opt.benchmarks.harness.runner import Row
+from regrasp_opt.benchmarks.harness.subjects import resident
 from regrasp_opt.connectivity import CostOptions
 from regrasp_opt.connectivity.casadi_costs import layers_parameter, parametric_functions, plain_sequence_cost
-from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, planar_transform
+from regrasp_opt.conventions import BoolArray, FloatArray, planar_transform
 from regrasp_opt.energy.casadi_energy import CasadiEnergy
 from regrasp_opt.energy.features import feature_count
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
@@ -106,35 +108,36 @@ class _ProductsByBlas(CasadiEnergy):
         return ca.Function(name, [x], [super().product(ca.MX(W), x)], ["x"], ["y"], {"cache": rules})
 
 
-def derivative_speed(repeats: int = 15) -> dict[str, float]:
+def derivative_rows(repeats: int) -> list[Row]:
     """Return processor times [s] of our derivatives and of CasADi's of the plainly built cost, and their disagreement.
 
-    CasADi multiplies by the same BLAS: in the cost (``plain_``), or in its derivatives too (``blas_``). They are timed
+    CasADi multiplies by the same BLAS: in the cost (``plain``), or in its derivatives too (``blas``). They are timed
     in turn, with one BLAS thread, so that their ratios hold on a busy machine.
     """
     num_regrasps, count, hidden = (DERIVATIVE_SIZES[axis] for axis in "NGH")
     energy = random_energy(count, hidden)
     arguments = _arguments(energy, num_regrasps)
-    plain = {
-        "plain_": CasadiEnergy(energy.model, count),
-        "blas_": _ProductsByBlas(energy.model, count, 3 * num_regrasps),
+    built = {
+        "plain": CasadiEnergy(energy.model, count),
+        "blas": _ProductsByBlas(energy.model, count, 3 * num_regrasps),
     }
-    costs = {"": parametric_functions(CasadiEnergy(energy.model, count), CostOptions(), num_regrasps).J_seq}
-    costs |= {key: plain_sequence_cost(built, CostOptions(), num_regrasps) for key, built in plain.items()}
+    costs = {"ours": parametric_functions(CasadiEnergy(energy.model, count), CostOptions(), num_regrasps).J_seq}
+    costs |= {key: plain_sequence_cost(energies, CostOptions(), num_regrasps) for key, energies in built.items()}
     functions = {key: _derivatives(cost) for key, cost in costs.items()}
-    result: dict[str, float] = {**DERIVATIVE_SIZES, "difference": 0.0}
+    rows: list[Row] = []
     with one_blas_thread():
         for number, kind in enumerate(("gradient", "hessian")):
-            calls = {f"{key}{kind}": partial(both[number], *arguments) for key, both in functions.items()}
+            calls = {key: partial(both[number], *arguments) for key, both in functions.items()}
             ours, *others = (call() for call in calls.values())
-            result["difference"] = max(result["difference"], *(float(ca.norm_inf(ca.vec(ours - o))) for o in others))
+            difference = max(float(ca.norm_inf(ca.vec(ours - other))) for other in others)
             turns = [[median_time(call, 1, time.thread_time) for call in calls.values()] for _ in range(repeats)]
-            result |= dict(zip(calls, np.median(turns, axis=0).tolist(), strict=True))
-    return result
+            times = dict(zip(calls, np.median(turns, axis=0).tolist(), strict=True))
+            rows.append({"derivative": kind, **DERIVATIVE_SIZES, **times, "difference": difference})
+    return rows
 
 
-def iteration_curve(axis: str, repeats: int = 15) -> list[dict[str, float]]:
-    """Return the time of what one Ipopt iteration evaluates (cost, gradient, Hessian) along `axis` "N", "G" or "H".
+def iteration_rows(axis: str, repeats: int) -> list[Row]:
+    """Return the time [s] of what one Ipopt iteration evaluates (cost, gradient, Hessian) along `axis` "N", "G" or "H".
 
     Sizes are timed in turn, and a size's time is the median of its turns: what else the machine does meets them alike.
     """
@@ -147,64 +150,57 @@ def iteration_curve(axis: str, repeats: int = 15) -> list[dict[str, float]]:
         calls.append([partial(call, *arguments) for call in (cost, *_derivatives(cost))])
         rows.append(at)
     turns = [[sum(median_time(call, 1) for call in size) for size in calls] for _ in range(repeats)]
-    return [{**at, "seconds": seconds} for at, seconds in zip(rows, np.median(turns, axis=0).tolist(), strict=True)]
+    medians = np.median(turns, axis=0).tolist()
+    return [{"along": axis, **at, "iteration": seconds} for at, seconds in zip(rows, medians, strict=True)]
 
 
-def exponent(rows: Sequence[dict[str, float]], axis: str) -> float:
+def exponent(rows: Sequence[Row], axis: str) -> float:
     """Return the slope of log time over log size by least squares."""
-    sizes, seconds = (np.log([row[key] for row in rows]) for key in (axis, "seconds"))
+    sizes, seconds = (np.log([row[key] for row in rows]) for key in (axis, "iteration"))
     return float(np.polyfit(sizes, seconds, 1)[0])
 
 
-def check_speed(problem: RegraspProblem, pairs: int = 100_000) -> dict[str, float]:
+def check_rows(pairs: int) -> list[Row]:
     """Return exact checks a second of `PROCESSES` processes, those of a plain loop, and how many labels differ."""
+    problem = RegraspProblem.load("bottle", "nova2-w")
     count = len(problem.grasps)
     poses = -(-pairs // count)
     numbers, xi = random_poses(problem.placement_poses, problem.workcell.bounds.array, poses, np.random.default_rng(0))
-    T = planar_transform(xi) @ problem.placement_poses[numbers]
-    parts = np.array_split(T, 4 * PROCESSES)
+    parts = np.array_split(planar_transform(xi) @ problem.placement_poses[numbers], 4 * PROCESSES)
+    labels, rates = [], []
     with joblib.Parallel(n_jobs=PROCESSES) as parallel:
         list(parallel(joblib.delayed(_batched)(problem, part[:1]) for part in parts))  # start the workers
-        began = time.perf_counter()
-        labels = np.concatenate(list(parallel(joblib.delayed(_batched)(problem, part) for part in parts)))
-        batched = time.perf_counter() - began
-        began = time.perf_counter()
-        plain = np.concatenate(list(parallel(joblib.delayed(_plain_loop)(problem, part) for part in parts)))
-        loop = time.perf_counter() - began
-    return {
-        "processes": PROCESSES,
-        "pairs": labels.size,
-        "per_second": labels.size / batched,
-        "plain_per_second": labels.size / loop,
-        "different_labels": int((labels != plain).sum()),
-        "feasible_share": float(labels.mean()),
-    }
-
-
-_problems: dict[str, RegraspProblem] = {}
-
-
-def _same_problem(problem: RegraspProblem) -> RegraspProblem:
-    """Return one problem a process, so that its checker is built once."""
-    return _problems.setdefault(problem.grasps.fingerprint(), problem)
+        for check in (_batched, _plain_loop):
+            began = time.perf_counter()
+            labels.append(np.concatenate(list(parallel(joblib.delayed(check)(problem, part) for part in parts))))
+            rates.append(labels[-1].size / (time.perf_counter() - began))
+    return [
+        {
+            "processes": PROCESSES,
+            "pairs": labels[0].size,
+            "per_second": rates[0],
+            "plain_per_second": rates[1],
+            "different_labels": int((labels[0] != labels[1]).sum()),
+            "feasible_share": float(labels[0].mean()),
+        }
+    ]
 
 
 def _batched(problem: RegraspProblem, T: FloatArray) -> BoolArray:
-    checker = _same_problem(problem).checker
+    checker = resident(problem).checker
     return np.array([checker.feasible(pose) for pose in T]).reshape(len(T), len(checker.grasps))
 
 
 def _plain_loop(problem: RegraspProblem, T: FloatArray) -> BoolArray:
     """Check pair by pair as one would at first: inverse kinematics, then its branches until one is free."""
-    checker = _same_problem(problem).checker
+    checker = resident(problem).checker
     cell, scene, grasps = checker.workcell, checker.scene, checker.grasps
     labels = np.zeros((len(T), len(grasps)), dtype=bool)
-    ids: IntArray = np.arange(len(grasps))
     for b, pose in enumerate(T):
         scene.place_object(pose)
         if checker.object_collides(pose):
             continue
-        for g in ids.tolist():
+        for g in range(len(grasps)):
             scene.set_grasp(g)
             T_world_flange = pose @ grasps.T_object_tcp[g] @ cell.arm.end_effector.T_tcp_flange
             branches = cell.arm.robot.solve_ik(cell.arm.T_base_world @ T_world_flange).q

@@ -35,8 +35,7 @@ def run_motion(session: Session) -> Report:
 
     def work(name: str, problem: RegraspProblem) -> tuple[list[Item], str]:
         pairs = random_instances(problem, session.rng(40), PAIRS[session.quick], f"{name}/motion")
-        depends = session.seed, TIME_LIMIT
-        items = [pair_item(name, problem, p, motion_row, session.seed, folder, depends=depends) for p in pairs]
+        items = [pair_item(name, problem, p, motion_row, session.seed, folder) for p in pairs]
         return items, instances_hash(pairs)
 
     return run_experiment(

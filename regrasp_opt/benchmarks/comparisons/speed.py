@@ -1,4 +1,4 @@
-"""`regrasp-opt bench speed`: how long plans take, against Langevin at the paper's setting, and where the time goes.
+"""How long plans take, against Langevin at the paper's setting, and where the time goes.
 
 Plans are timed in a warm process, one after the other on whatever else the machine is doing; what is claimed is the
 ratio within one run. Whole processes and peak memory are those of child processes.
@@ -13,23 +13,27 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from regrasp_opt.benchmarks.comparisons import kernels
-from regrasp_opt.benchmarks.comparisons.speed_page import performance_page
-from regrasp_opt.benchmarks.harness.environment import environment
-from regrasp_opt.benchmarks.harness.runner import Row
-from regrasp_opt.files import atomic_path
-from regrasp_opt.objects import OBJECT_NAMES
+from regrasp_opt.benchmarks.harness import tables
+from regrasp_opt.benchmarks.harness.environment import git_revision
+from regrasp_opt.benchmarks.harness.report import Report, Table
+from regrasp_opt.benchmarks.harness.runner import Row, progress
+from regrasp_opt.benchmarks.harness.session import Session
+from regrasp_opt.benchmarks.harness.subjects import mesh_files
 from regrasp_opt.planning import Recipe, RegraspPlan, RegraspProblem, solve_sequence
 from regrasp_opt.planning.tasks import Task, random_task
 from regrasp_opt.solvers import NlpRefiner
 
+TEXT = (
+    "Verified plans in a warm process, what their time is spent on, and whole processes. Times on a shared machine are "
+    "noisy: trust the ratios, which come from one run."
+)
 THIN_GRASPS = 12
 """Grasps of the problems with few of them: with all, few tasks need two regrasps, and nearly none three."""
 
@@ -56,8 +60,44 @@ class SpeedSizes:
 QUICK = SpeedSizes(12, 6, 1, 5, 10_000, 3, 2_000)
 FULL = SpeedSizes(200, 40, 30, 25, 100_000, 7, 20_000)
 
+PARTS = {
+    "ends": ("exact feasibility at start and goal", "one exact check of every grasp at two poses"),
+    "starts": ("lattice chains", "reading the lattice's likelihoods once"),
+    "refine": ("Ipopt, energies included", "three passes of the network over the grasps, for each iteration"),
+    "verify": ("verification of candidates (inverse kinematics, collision)", "one feasible branch for each transition"),
+    "transitions": ("all shared grasps, configurations, clearances", "every branch of every shared grasp"),
+}
+"""Parts of a plan: what they are, and what bounds their time from below."""
 
-def plan_rows(name: str, sizes: SpeedSizes, tell: Callable[[str], None]) -> list[Row]:
+
+def run_speed(session: Session) -> Report:
+    """Measure plans, what they are made of, and whole processes, all one after the other."""
+    sizes = QUICK if session.quick else FULL
+    meshes = [] if session.objects is None else mesh_files(session.objects)
+    work = [
+        *(partial(plan_rows, name, sizes) for name in session.names),
+        partial(kernels.derivative_rows, sizes.repeats),
+        *(partial(kernels.iteration_rows, axis, sizes.repeats) for axis in kernels.SIZES),
+        partial(kernels.check_rows, sizes.checks),
+        partial(process_rows, meshes, sizes),
+    ]
+    rows: list[Row] = []
+    with progress(session.quiet) as show:
+        for done, measure in enumerate(work):
+            show("measurements", done, len(work))
+            rows += measure()
+    return Report(
+        "speed",
+        "Performance",
+        TEXT,
+        (_plans(rows), _parts(rows), _derivatives(rows), _iterations(rows), _checks(rows), _processes(rows)),
+        rows,
+        revisions=(git_revision(),),
+        settings={"quick": session.quick},
+    )
+
+
+def plan_rows(name: str, sizes: SpeedSizes) -> list[Row]:
     """Return one row for each timed plan of a built-in object: with all grasps, by Langevin, with few grasps."""
     problem = RegraspProblem.load(name, "nova2-w")
     rng = np.random.default_rng(0)
@@ -65,10 +105,8 @@ def plan_rows(name: str, sizes: SpeedSizes, tell: Callable[[str], None]) -> list
     for task in tasks:  # builds the lattice, and each solver once
         solve_sequence(problem, task.start, task.goal)
     rows = [_timed(problem, task, "ipopt", seed) for seed, task in enumerate(tasks)]
-    tell(f"{name}: Langevin at the paper's setting")
     chosen = [i for i, row in enumerate(rows) if row["N"] == 1][: sizes.langevin]
     rows += [_timed(problem, tasks[i], "langevin", i) for i in chosen]
-    tell(f"{name}: few grasps")
     return rows + _thin_rows(problem, sizes.thin, rng)
 
 
@@ -82,7 +120,7 @@ def _thin_rows(problem: RegraspProblem, count: int, rng: np.random.Generator) ->
         tasks = [random_task(thin, rng, needs_regrasp=True) for _ in range(25)]
         plans = [solve_sequence(thin, task.start, task.goal, finder, max_regrasps=3) for task in tasks]
         deep = [task for task, plan in zip(tasks, plans, strict=True) if plan.solved and plan.num_regrasps >= 2]
-        rows += [_timed(thin, task, "ipopt", 100 * attempt + k) | {"thin": True} for k, task in enumerate(deep)]
+        rows += [_timed(thin, task, "ipopt", 100 * attempt + k) for k, task in enumerate(deep)]
         if len(rows) >= count:
             break
     return rows
@@ -96,8 +134,9 @@ def _timed(problem: RegraspProblem, task: Task, refiner: str, seed: int) -> Row:
     return {
         "object": problem.object.name,
         "grasps": len(problem.grasps),
-        "thin": False,
+        "thin": len(problem.grasps) == THIN_GRASPS,
         "refiner": refiner,
+        "seed": seed,
         "solved": plan.solved,
         "N": plan.num_regrasps if plan.solved else None,
         "seconds": seconds,
@@ -126,7 +165,7 @@ def process_row(label: str, arguments: list[str], environment: dict[str, str] | 
     )
     seconds = time.perf_counter() - began
     code, peak = json.loads(watched.stdout)
-    return {"what": label, "seconds": seconds, "peak_mb": _megabytes(peak), "exit": code}
+    return {"process": label, "seconds": seconds, "peak_mb": _megabytes(peak), "exit": code}
 
 
 def _megabytes(peak: int) -> float:
@@ -134,60 +173,137 @@ def _megabytes(peak: int) -> float:
     return peak / (1e6 if sys.platform == "darwin" else 1e3)
 
 
-def process_rows(meshes: list[Path], repeats: int, samples: int, tell: Callable[[str], None]) -> list[Row]:
-    """Return rows of whole processes: help, a plan from a stored model, and prepare and plan for each mesh."""
-    tell("whole processes")
-    rows = [process_row("regrasp-opt --help", ["--help"]) for _ in range(repeats)]
-    rows += [process_row("regrasp-opt plan", ["plan"]) for _ in range(repeats)]
+def process_rows(meshes: list[Path], sizes: SpeedSizes) -> list[Row]:
+    """Return rows of whole processes: help, a plan from a stored model, prepare and plan for each mesh, and ours."""
+    rows = [
+        process_row(" ".join(["regrasp-opt", word]), [word]) for word in ("--help", "plan") for _ in range(sizes.runs)
+    ]
     for mesh in meshes:
-        tell(f"prepare and plan {mesh.name}")
         with tempfile.TemporaryDirectory() as home:
             fresh = {"REGRASP_OPT_HOME": home}
-            prepared = process_row(f"prepare {mesh.name}", ["prepare", str(mesh), "--samples", str(samples)], fresh)
+            words = ["prepare", str(mesh), "--samples", str(sizes.samples)]
+            prepared = process_row(f"prepare {mesh.name}", words, fresh)
             planned = process_row(f"plan {mesh.name}", ["plan", "--object", str(mesh)], fresh)
-        both = {"what": f"prepare + plan {mesh.name}", "seconds": prepared["seconds"] + planned["seconds"]}
-        both |= {"peak_mb": max(prepared["peak_mb"], planned["peak_mb"])}
-        rows += [prepared, planned, {**both, "exit": max(prepared["exit"], planned["exit"])}]
-    return rows
+        both = {"process": f"prepare + plan {mesh.name}", "seconds": prepared["seconds"] + planned["seconds"]}
+        both |= {key: max(prepared[key], planned[key]) for key in ("peak_mb", "exit")}
+        rows += [prepared, planned, both]
+    peak = _megabytes(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+    return [*rows, {"process": "this measurement", "peak_mb": peak}]
 
 
-def measure(*, quick: bool, meshes: list[Path], tell: Callable[[str], None]) -> dict[str, Any]:
-    """Measure everything; `quick` takes fewer plans, pairs and repetitions.
+def _all_grasps(row: Row) -> bool:
+    return row.get("refiner") == "ipopt" and not row["thin"]
 
-    Returns
-    -------
-    dict
-        ``plans`` and ``processes`` (rows), ``derivatives``, ``curves`` with ``exponents``, ``checks``, ``peak_mb``.
-    """
-    sizes = QUICK if quick else FULL
-    plans: list[Row] = []
-    for name in OBJECT_NAMES:
-        tell(f"{name}: all grasps")
-        plans += plan_rows(name, sizes, tell)
-    tell("derivatives and scaling")
-    derivatives = kernels.derivative_speed(sizes.repeats)
-    curves = {axis: kernels.iteration_curve(axis, sizes.repeats) for axis in kernels.SIZES}
-    tell("exact checks")
-    checks = kernels.check_speed(RegraspProblem.load("bottle", "nova2-w"), sizes.checks)
-    processes = process_rows(meshes, sizes.runs, sizes.samples, tell)
-    return {
-        "plans": plans,
-        "derivatives": derivatives,
-        "curves": curves,
-        "exponents": {axis: kernels.exponent(rows, axis) for axis, rows in curves.items()},
-        "checks": checks,
-        "processes": processes,
-        "peak_mb": _megabytes(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss),
+
+def _task(row: Row) -> str:
+    if row["refiner"] == "langevin":
+        return "all grasps, N = 1, Langevin"
+    found = "no plan" if not row["solved"] else f"N = {row['N']}" if row["N"] < 3 else "N >= 3"
+    return f"{'few' if row['thin'] else 'all'} grasps, {found}"
+
+
+def _plans(rows: list[Row]) -> Table:
+    plans = [{**row, "task": _task(row)} for row in rows if "refiner" in row]
+    groups = tables.grouped(plans, "object", "task")
+    ours = {(row["object"], row["seed"]): row["seconds"] for row in plans if _all_grasps(row)}
+
+    def ratio(here: list[Row]) -> float | None:
+        if here[0]["refiner"] != "langevin":
+            return None
+        same = [ours[row["object"], row["seed"]] for row in here]
+        return round(float(np.median(tables.values(here, "seconds")) / np.median(same)), 1)
+
+    columns: dict[str, tables.Column] = {
+        "plans": len,
+        "solved": tables.count("solved"),
+        "median [s]": tables.middle("seconds"),
+        "p95 [s]": lambda here: round(float(np.percentile(tables.values(here, "seconds"), 95)), 3),
+        "Langevin / ours": ratio,
     }
+    note = (
+        "All grasps: random pairs of resting poses of each object in the empty cell `nova2-w`, with feasible "
+        "grasps at both ends and none in common; every pair that was drawn is in the table, by the N of its plan. "
+        f"Few grasps ({THIN_GRASPS}): of random pairs for random subsets of the grasps, those for which the same "
+        "planner had found a plan with two or three regrasps before; others are left out, so these rows say how long, "
+        "not how often. Langevin: the first of the pairs with one regrasp, at the paper's setting (B = 1000, 20 "
+        "iterations), with the same exact checks and random starts, to which most of the ratio is due: from the starts "
+        "of ours it is as fast. Each pair was planned once before it was timed: lattice and solvers, which the first "
+        "plan of a process builds, are not counted."
+    )
+    return tables.summary(
+        "Verified plans in a warm process", ("object", "task"), dict(sorted(groups.items())), columns, note
+    )
 
 
-def run_speed(out: Path, *, quick: bool, meshes: list[Path], tell: Callable[[str], None]) -> dict[str, Any]:
-    """Measure, write ``speed.json`` and ``performance.md`` to the folder `out`, and return what was measured."""
-    result = measure(quick=quick, meshes=meshes, tell=tell)
-    described = environment()
-    content = json.dumps({"environment": described, **result}, indent=1) + "\n"
-    page = performance_page(result, described, "regrasp-opt bench speed" + (" --quick" if quick else ""))
-    for name, text in (("speed.json", content), ("performance.md", page)):
-        with atomic_path(out / name) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    return result
+def _parts(rows: list[Row]) -> Table:
+    chosen = [row for row in rows if _all_grasps(row) and row["N"] == 1]
+    total = float(np.median([row["seconds"] for row in chosen]))
+    lines, rest = [], total
+    for part, (meaning, bound) in PARTS.items():
+        seconds = float(np.median([row.get(f"t_{part}", 0.0) for row in chosen]))
+        rest -= seconds
+        lines.append((meaning, round(1e3 * seconds, 1), round(100 * seconds / total), bound))
+    lines.append(("the rest", round(1e3 * max(rest, 0.0), 1), round(100 * max(rest, 0.0) / total), ""))
+    header = ("part", "median [ms]", "share [%]", "bounded from below by")
+    return Table("Where the time of one plan goes", header, tuple(lines), "Plans with all grasps and one regrasp.")
+
+
+def _milliseconds(key: str) -> tables.Value:
+    return lambda row: round(1e3 * row[key], 2)
+
+
+def _derivatives(rows: list[Row]) -> Table:
+    here = [row for row in rows if "derivative" in row]
+    columns: dict[str, tables.Value] = {
+        "of `J_seq`": "derivative",
+        "ours [ms]": _milliseconds("ours"),
+        "CasADi [ms]": _milliseconds("plain"),
+        "CasADi, all by BLAS [ms]": _milliseconds("blas"),
+        "ratio": lambda row: round(row["plain"] / row["ours"], 1),
+        "ratio, all by BLAS": lambda row: round(row["blas"] / row["ours"], 1),
+    }
+    sizes = ", ".join(f"{axis} = {here[0][axis]}" for axis in "NGH")
+    note = (
+        f"{sizes}. Largest difference: {max(row['difference'] for row in here):.1e}. CasADi differentiates the plainly "
+        "built cost, whose matrix products go through the same BLAS as ours. The products of its derivatives do not: "
+        "CasADi gives them to its own loops, whatever is asked for. In the columns 'all by BLAS' they were made to, "
+        "by derivative rules of our own for the product; what is left of the ratio there is our second-order pass. "
+        "Processor time of one thread; timed in turn."
+    )
+    return tables.listing("Derivatives", here, columns, note)
+
+
+def _iterations(rows: list[Row]) -> Table:
+    here = [row for row in rows if "along" in row]
+    columns = {"N": "N", "G": "G", "H": "H", "time [ms]": _milliseconds("iteration")}
+    note = ", ".join(
+        f"{axis} {kernels.exponent(along, axis):.2f}" for (axis,), along in tables.grouped(here, "along").items()
+    )
+    note = f"Cost, gradient and Hessian together. Exponents of the time in each size: {note}."
+    return tables.listing("Cost of one Ipopt iteration", here, columns, note)
+
+
+def _checks(rows: list[Row]) -> Table:
+    columns: dict[str, tables.Value] = {
+        "(pose, grasp) pairs": "pairs",
+        "processes": "processes",
+        "ours [1/s]": lambda row: round(row["per_second"]),
+        "plain loop [1/s]": lambda row: round(row["plain_per_second"]),
+        "labels that differ": "different_labels",
+    }
+    note = (
+        "On the bottle in `nova2-w`. The plain loop checks the same pairs (inverse kinematics for each, then its "
+        "branches until one is free), with as many processes and the same libraries. Most of its time is inverse "
+        "kinematics for one pose at a time."
+    )
+    return tables.listing("Exact checks", [row for row in rows if "pairs" in row], columns, note)
+
+
+def _processes(rows: list[Row]) -> Table:
+    columns = {
+        "runs": len,
+        "median [s]": tables.middle("seconds", 2),
+        "peak memory [MB]": lambda here: round(max(row["peak_mb"] for row in here)),
+        "exit": lambda here: max(tables.values(here, "exit"), default=None),
+    }
+    return tables.summary("Whole processes", ("command",), tables.grouped(rows, "process"), columns)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -28,7 +28,6 @@ def run_experiment(
     *,
     figures: Callable[[list[Row], list[str]], Iterable[Figure]] = lambda rows, names: (),
     settings: dict[str, Any] | None = None,
-    conclusion: Callable[[list[Row]], str] = lambda rows: "",
     most: int | None = None,
 ) -> Report:
     """Run the experiment `name` on the objects of a session, or on the first `most` of them.
@@ -59,7 +58,6 @@ def run_experiment(
         hashes,
         results.revisions,
         {"quick": session.quick, "seed": session.seed, **(settings or {})},
-        conclusion(rows),
     )
 
 
@@ -70,10 +68,9 @@ def pair_item(
     function: Callable[..., list[Row]],
     *arguments: Any,
     label: str = "",
-    depends: Sequence[Any] = (),
     **columns: Any,
 ) -> Item:
-    """Return the item that calls `function` with `problem`, `instance` and `arguments`.
+    """Return the item that calls `function` with `problem`, `instance` and `arguments`, on which its rows depend.
 
     Parameters
     ----------
@@ -81,9 +78,8 @@ def pair_item(
         Of the object.
     label : str
         What is put behind the instance's name, so that the item has a key of its own.
-    depends : sequence
-        What the rows depend on besides the problem, its energy and the instance.
     """
-    depends_on = content_hash(planning_key(problem), instances_hash([instance]), *depends)
+    keys = [planning_key(a) if isinstance(a, RegraspProblem) else a for a in arguments]
+    depends_on = content_hash(planning_key(problem), instances_hash([instance]), *keys)
     columns = {"object": name, "pair": instance.name, **columns}
     return Item(f"{instance.name}{label}", depends_on, function, (replace(problem), instance, *arguments), columns)

@@ -6,16 +6,15 @@ from, how they are refined and what is known of the ends.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
-from regrasp_opt.connectivity import BLOCKED, CostOptions, SequenceObjective, TableRule, exact_energy
+from regrasp_opt.connectivity import BLOCKED, CostOptions, SequenceObjective, exact_energy
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, planar_transform
 from regrasp_opt.energy.model import GraspEnergy
-from regrasp_opt.feasibility import FeasibilityChecker
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.solvers import Candidates, LangevinRefiner, LatticeRefiner, PoseLattice, Refiner
 from regrasp_opt.solvers.lattice import shared_cost
@@ -42,10 +41,10 @@ class Generator:
     ends: Literal["exact", "learned"]
 
 
-GENERATORS: dict[str, Callable[[], Generator]] = {
-    "lattice": lambda: Generator(LatticeRefiner(), "lattice", "exact"),
-    "langevin": lambda: Generator(LangevinRefiner(), "random", "exact"),
-    "paper": lambda: Generator(LangevinRefiner(keep_best=False), "random", "learned"),
+GENERATORS = {
+    "lattice": Generator(LatticeRefiner(), "lattice", "exact"),
+    "langevin": Generator(LangevinRefiner(), "random", "exact"),
+    "paper": Generator(LangevinRefiner(keep_best=False), "random", "learned"),
 }
 """Ours; ours with the paper's optimiser; the paper's optimiser and ends."""
 
@@ -56,30 +55,30 @@ class OneStepTask:
 
     Attributes
     ----------
+    problem : RegraspProblem
     energy : GraspEnergy
-    placements, bounds
-        Same as in `SequenceObjective`.
+        Of the problem's grasps; not always the problem's own.
     ends : (2, 4, 4)
         Start and goal.
-    feasible : (2, G) bool
-        Exact feasibility at both.
-    table_rule : TableRule
-        Same as in `SequenceObjective`; the generator with learned ends does without.
     """
 
+    problem: RegraspProblem
     energy: GraspEnergy
-    placements: FloatArray
-    bounds: FloatArray
     ends: FloatArray
-    feasible: BoolArray
-    table_rule: TableRule
 
-    @staticmethod
-    def between(problem: RegraspProblem, energy: GraspEnergy, ends: FloatArray) -> OneStepTask:
-        """Return the task of `problem` between the two poses `ends` (2, 4, 4) with `energy` for its grasps."""
-        feasible = np.array([problem.feasible_grasps(T) for T in ends])
+    @cached_property
+    def feasible(self) -> BoolArray:
+        """Exact feasibility (2, G) of all grasps at both ends."""
+        return np.array([self.problem.feasible_grasps(T) for T in self.ends])
+
+    @cached_property
+    def lattice(self) -> PoseLattice:
+        """The pose lattice of the task's energy."""
+        problem = self.problem
+        if self.energy is problem.energy:
+            return problem.lattice
         bounds = problem.workcell.bounds.array
-        return OneStepTask(energy, problem.placement_poses, bounds, ends, feasible, problem.table_rule)
+        return PoseLattice.build(self.energy, problem.placement_poses, bounds, problem.table_rule)
 
     @property
     def possible(self) -> bool:
@@ -87,14 +86,21 @@ class OneStepTask:
         return bool(self.feasible.any(axis=1).all())
 
     def objective(self, generator: Generator, options: CostOptions) -> SequenceObjective:
-        """Return the cost that `generator` minimises."""
+        """Return the cost that `generator` minimises; the one with learned ends does without the table rule."""
+        problem = self.problem
         start, goal = self._end_energies(generator.ends)
-        known = None if generator.ends == "learned" else self.table_rule
-        return SequenceObjective(self.energy, self.placements, start, goal, self.bounds, options, known)
+        known = None if generator.ends == "learned" else problem.table_rule
+        bounds = problem.workcell.bounds.array
+        return SequenceObjective(self.energy, problem.placement_poses, start, goal, bounds, options, known)
 
-    def poses(self, placements: IntArray, xi: FloatArray) -> FloatArray:
-        """Return object poses (B, 4, 4) of placement numbers (B,) and planar parameters (B, 3) (Eq. 6)."""
-        return planar_transform(xi) @ self.placements[placements]
+    def verdicts(self, placements: IntArray, xi: FloatArray) -> BoolArray:
+        """Return which poses, `placements` (B,) and `xi` (B, 3), share, exactly, a grasp with each of the ends."""
+        ids = np.flatnonzero(self.feasible.any(axis=0))
+        found = np.zeros(len(xi), dtype=bool)
+        for b, T in enumerate(planar_transform(xi) @ self.problem.placement_poses[placements]):
+            here = self.problem.checker.feasible(T, ids)
+            found[b] = bool((self.feasible[:, ids] & here).any(axis=1).all())
+        return found
 
     def _end_energies(self, ends: Literal["exact", "learned"]) -> FloatArray:
         if ends == "learned":
@@ -105,39 +111,31 @@ class OneStepTask:
 
 
 def generate(
-    task: OneStepTask,
-    generator: Generator,
-    options: CostOptions,
-    per_placement: int,
-    rng: np.random.Generator,
-    lattice: PoseLattice | None = None,
+    task: OneStepTask, generator: Generator, options: CostOptions, per_placement: int, rng: np.random.Generator
 ) -> Candidates:
-    """Return ``per_placement`` intermediate poses for each placement, the cheapest first.
-
-    Parameters
-    ----------
-    lattice : PoseLattice, optional
-        Of the task's energy; it is made if it is needed and not given.
-    """
+    """Return ``per_placement`` intermediate poses for each placement, the cheapest first."""
     objective = task.objective(generator, options)
     if generator.starts == "random":
-        starts = _random_starts(objective, per_placement, rng)
+        placements, xi = _random_starts(objective, per_placement, rng)
     else:
-        if lattice is None:
-            lattice = PoseLattice.build(task.energy, task.placements, task.bounds, rule=task.table_rule)
-        starts = _lattice_starts(lattice, objective, per_placement)
+        placements, xi = _lattice_starts(task.lattice, objective, per_placement)
+    starts = Candidates(placements[:, None], xi[:, None], objective.cost(placements[:, None], xi[:, None]))
     refined = generator.refiner.refine(objective, starts, rng).candidates
     return refined.best(len(refined))
 
 
-def _random_starts(objective: SequenceObjective, per_placement: int, rng: np.random.Generator) -> Candidates:
+def _random_starts(
+    objective: SequenceObjective, per_placement: int, rng: np.random.Generator
+) -> tuple[IntArray, FloatArray]:
     count = len(objective.placements) * per_placement
     low, high = objective.bounds
-    xi = np.column_stack([rng.uniform(low, high, (count, 2)), rng.uniform(0, 2 * np.pi, count)])[:, None]
-    return _candidates(objective, np.repeat(np.arange(len(objective.placements)), per_placement)[:, None], xi)
+    xi = np.column_stack([rng.uniform(low, high, (count, 2)), rng.uniform(0, 2 * np.pi, count)])
+    return np.repeat(np.arange(len(objective.placements)), per_placement), xi
 
 
-def _lattice_starts(lattice: PoseLattice, objective: SequenceObjective, per_placement: int) -> Candidates:
+def _lattice_starts(
+    lattice: PoseLattice, objective: SequenceObjective, per_placement: int
+) -> tuple[IntArray, FloatArray]:
     alpha = objective.options.alpha
     P = np.exp(-lattice.energies / alpha)
     masses = [P @ np.exp(-end / alpha).astype(np.float32) for end in (objective.start_energy, objective.goal_energy)]
@@ -145,21 +143,7 @@ def _lattice_starts(lattice: PoseLattice, objective: SequenceObjective, per_plac
     order = np.argsort(promise, kind="stable")
     parts = [order[lattice.placements[order] == s][:per_placement] for s in range(len(objective.placements))]
     chosen = np.concatenate(parts)
-    return _candidates(objective, lattice.placements[chosen][:, None], lattice.xi[chosen][:, None])
-
-
-def _candidates(objective: SequenceObjective, placements: IntArray, xi: FloatArray) -> Candidates:
-    return Candidates(placements, xi, objective.cost(placements, xi))
-
-
-def verdicts(checker: FeasibilityChecker, poses: FloatArray, feasible: BoolArray) -> BoolArray:
-    """Return which `poses` (B, 4, 4) share, exactly, a grasp with each of two ends of `feasible` (2, G) grasps."""
-    ids = np.flatnonzero(feasible.any(axis=0))
-    found = np.zeros(len(poses), dtype=bool)
-    for b, T in enumerate(poses):
-        here = checker.feasible(T, ids)
-        found[b] = bool((feasible[:, ids] & here).any(axis=1).all())
-    return found
+    return lattice.placements[chosen], lattice.xi[chosen]
 
 
 def distinct(placements: IntArray, xi: FloatArray) -> int:

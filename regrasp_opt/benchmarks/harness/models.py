@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -17,13 +16,10 @@ from regrasp_opt.energy.features import pair_features
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
 from regrasp_opt.energy.storage import load_energy, save_energy
 from regrasp_opt.energy.training import TrainingOptions, train
-from regrasp_opt.errors import ModelError
 from regrasp_opt.feasibility.dataset import LabellingTask, label_pairs, label_poses
 from regrasp_opt.files import content_hash, data_home
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.planning.prepare import HELD_OUT_POSES
-
-logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,25 +65,12 @@ def trained_energies(
         label_pairs(request.labelling, request.samples, folder=_labels(), jobs=jobs)
         return joblib.delayed(_train)(replace(request, problem=replace(request.problem)))
 
-    def keep(path: Path, energy: EnergyModel) -> None:
-        save_energy(energy, path)
-
-    energies = resumed(list(unique), _stored, work, keep, jobs, progress)
+    energies = resumed(unique, load_energy, work, save_energy, jobs, progress)
     return [energies[request.path] for request in requests]
 
 
 def _labels() -> Path:
     return data_home() / "labels"
-
-
-def _stored(path: Path) -> EnergyModel | None:
-    if not path.is_file():
-        return None
-    try:
-        return load_energy(path)
-    except ModelError as error:
-        logger.warning("%s; it is trained again", error)
-        return None
 
 
 def _train(request: TrainingRequest) -> tuple[Path, EnergyModel]:

@@ -9,7 +9,6 @@ The grid is checked in blocks, each stored as soon as it is done, under a hash o
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -24,13 +23,11 @@ from regrasp_opt.benchmarks.harness.parallel import resumed
 from regrasp_opt.benchmarks.harness.subjects import problem_key, resident
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, planar_transform
 from regrasp_opt.errors import OptionError
-from regrasp_opt.files import UNREADABLE_ARRAYS, atomic_path, content_hash, data_home
+from regrasp_opt.files import atomic_path, content_hash, data_home
 from regrasp_opt.planning import RegraspProblem
 
 BLOCK = 500
 """Poses that are checked and stored together."""
-
-logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -143,7 +140,7 @@ def build_oracle(
     blocks = [slice(first, first + BLOCK) for first in range(0, len(numbers), BLOCK)]
     parts = {folder / f"{part.start:07d}.npz": (numbers[part], xi[part]) for part in blocks}
     found = resumed(
-        list(parts),
+        parts,
         lambda path: _read(path, (len(parts[path][0]), len(problem.grasps))),
         lambda path: joblib.delayed(_check_block)(bare, path, *parts[path]),
         _write,
@@ -170,21 +167,14 @@ def _check_block(problem: RegraspProblem, path: Path, placements: IntArray, xi: 
     return path, _Block(feasible, time.process_time() - began)
 
 
-def _write(path: Path, block: _Block) -> None:
+def _write(block: _Block, path: Path) -> None:
     with atomic_path(path) as temporary:
         np.savez_compressed(temporary, packed=np.packbits(block.feasible, axis=1), seconds=block.seconds)
 
 
-def _read(path: Path, shape: tuple[int, int]) -> _Block | None:
-    if not path.is_file():
-        return None
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            packed, seconds = stored["packed"], float(stored["seconds"])
-        good = packed.dtype == np.uint8 and packed.shape == (shape[0], -(-shape[1] // 8))
-    except UNREADABLE_ARRAYS:
-        good = False
-    if not good:
-        logger.warning("the stored ground truth '%s' is corrupt; it is made again", path)
-        return None
+def _read(path: Path, shape: tuple[int, int]) -> _Block:
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+        packed, seconds = stored["packed"], float(stored["seconds"])
+    if packed.dtype != np.uint8 or packed.shape != (shape[0], -(-shape[1] // 8)):
+        raise ValueError(f"not the feasibility of {shape} poses and grasps")
     return _Block(np.unpackbits(packed, axis=1, count=shape[1]).astype(bool), seconds)

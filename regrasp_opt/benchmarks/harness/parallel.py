@@ -2,61 +2,68 @@
 
 from __future__ import annotations
 
+import logging
 import warnings
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, TypeVar
 
 import joblib
 
-from regrasp_opt.errors import OptionError
+from regrasp_opt.errors import OptionError, RegraspError
+from regrasp_opt.files import UNREADABLE_ARRAYS
 from regrasp_opt.workers import workers
 
-Key = TypeVar("Key", bound=Hashable)
 Found = TypeVar("Found")
 
-
-def in_parallel(work: Iterable[Any], jobs: int) -> Iterator[Any]:
-    """Yield the results of ``joblib.delayed`` calls as they come, on the backend that is current in joblib.
-
-    Parameters
-    ----------
-    jobs : int
-        Workers, as joblib counts them.
-    """
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="A worker stopped")  # joblib replaces workers that have grown
-        with workers(jobs, "generator_unordered") as parallel:
-            yield from parallel(work)
+logger = logging.getLogger(__name__)
 
 
 def resumed(
-    keys: Sequence[Key],
-    read: Callable[[Key], Found | None],
-    work: Callable[[Key], Any],
-    keep: Callable[[Key, Found], None],
+    paths: Iterable[Path],
+    read: Callable[[Path], Found],
+    work: Callable[[Path], Any],
+    keep: Callable[[Found, Path], None],
     jobs: int,
     progress: Callable[[int, int], None] | None,
-) -> dict[Key, Found]:
-    """Return what `read` finds of `keys`, and of the others what workers make, each kept as soon as it is there.
+) -> dict[Path, Found]:
+    """Return what `paths` hold, and of the others what workers make, each kept as soon as it is there.
 
     Parameters
     ----------
+    read : callable
+        Returns what a file holds. Whatever it raises, the file is reported and made again.
     work : callable
-        Returns the ``joblib.delayed`` call for a key, which returns the key and what was made.
+        Returns the ``joblib.delayed`` call for a path, which returns the path and what was made.
+    jobs : int
+        Workers, as joblib counts them, on the backend that is current in joblib.
     progress : callable, optional
         Called with (number there, number in all).
     """
-    stored = {key: read(key) for key in keys}
-    found = {key: value for key, value in stored.items() if value is not None}
-    missing = [key for key in stored if key not in found]
+    stored = {path: _stored(path, read) for path in paths}
+    found = {path: value for path, value in stored.items() if value is not None}
+    missing = [path for path in stored if path not in found]
     tell = progress or (lambda done, total: None)
     tell(len(found), len(stored))
-    for key, value in in_parallel([work(key) for key in missing], jobs) if missing else ():
-        keep(key, value)
-        found[key] = value
-        tell(len(found), len(stored))
-    return {key: found[key] for key in stored}
+    if missing:
+        with warnings.catch_warnings(), workers(jobs, "generator_unordered") as parallel:
+            warnings.filterwarnings("ignore", message="A worker stopped")  # joblib replaces workers that have grown
+            for path, value in parallel(work(path) for path in missing):
+                keep(value, path)
+                found[path] = value
+                tell(len(found), len(stored))
+    return {path: found[path] for path in stored}
+
+
+def _stored(path: Path, read: Callable[[Path], Found]) -> Found | None:
+    if not path.is_file():
+        return None
+    try:
+        return read(path)
+    except (RegraspError, *UNREADABLE_ARRAYS):
+        logger.warning("the stored file '%s' is corrupt; it is made again", path)
+        return None
 
 
 @contextmanager

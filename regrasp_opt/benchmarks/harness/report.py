@@ -1,4 +1,4 @@
-"""What an experiment hands back, and the files made from it: rows, a JSON summary, an HTML page, Markdown tables."""
+"""What an experiment hands back, and the files made from it: rows, a JSON summary, a page in Markdown and HTML."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from dataclasses import asdict, dataclass, field
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
+
+from markdown_it import MarkdownIt
 
 from regrasp_opt.benchmarks.harness.environment import environment
 from regrasp_opt.benchmarks.harness.runner import Row, write_csv
@@ -56,8 +58,6 @@ class Report:
         Git revisions of the code that made the rows.
     settings : dict
         Sizes and seeds.
-    conclusion : str
-        What the tables say, in paragraphs with an empty line between them.
     command : str
         The command that makes it, where that is not `regrasp-opt bench`.
     """
@@ -71,7 +71,6 @@ class Report:
     instances: dict[str, str] = field(default_factory=dict)
     revisions: tuple[str, ...] = ()
     settings: dict[str, Any] = field(default_factory=dict)
-    conclusion: str = ""
     command: str = ""
 
     @property
@@ -81,7 +80,10 @@ class Report:
 
 
 def write_report(report: Report, folder: Path) -> dict[str, Any]:
-    """Write ``rows.csv``, ``summary.json`` and ``index.html`` of `report` to `folder`; return the summary."""
+    """Write ``rows.csv``, ``summary.json``, ``NAME.md`` and ``index.html`` to `folder`; return the summary.
+
+    Both pages say the same; the second shows the figures too.
+    """
     summary = {
         "format": FORMAT,
         "name": report.name,
@@ -95,14 +97,15 @@ def write_report(report: Report, folder: Path) -> dict[str, Any]:
         "rows": len(report.rows),
         "errors": [{key: row[key] for key in row if row[key] is not None} for row in report.errors],
         "tables": [asdict(table) for table in report.tables],
-        "conclusion": report.conclusion,
         "command": report.command or f"regrasp-opt bench {report.name}",
     }
+    heading, empty, *rest = _section(summary, 1)
+    said = f"This page is written by `{summary['command']}`."
+    text = "\n".join([heading, empty, said, empty, *rest])
     write_csv(report.rows, folder / "rows.csv")
-    with atomic_path(folder / "index.html") as temporary:
-        temporary.write_text(_page(summary, report.figures), encoding="utf-8")
-    with atomic_path(folder / "summary.json") as temporary:
-        temporary.write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+    _write(folder / f"{report.name}.md", text)
+    _write(folder / "index.html", _page(report.title, text, report.figures))
+    _write(folder / "summary.json", json.dumps(summary, indent=1))
     return summary
 
 
@@ -117,16 +120,11 @@ def write_document(folder: Path, path: Path) -> None:
         "model and checker differ from the paper's there too.",
         "",
     ]
-    for summary in _summaries(folder):
-        parts += _section(summary, 2)
-    _write_lines(parts, path)
-
-
-def write_page(summary: dict[str, Any], path: Path) -> None:
-    """Write the tables of one experiment, whose `summary` `write_report` returned, to the Markdown file `path`."""
-    lines = _section(summary, 1)
-    said = f"This page is written by `{_command(summary)}`."
-    _write_lines([*lines[:2], said, "", *lines[2:]], path)
+    for stored in sorted(folder.glob("*/summary.json")):
+        summary = json.loads(stored.read_text(encoding="utf-8"))
+        if summary.get("format") == FORMAT:
+            parts += _section(summary, 2)
+    _write(path, "\n".join(parts))
 
 
 def _section(summary: dict[str, Any], level: int) -> list[str]:
@@ -135,35 +133,21 @@ def _section(summary: dict[str, Any], level: int) -> list[str]:
     for table in summary["tables"]:
         parts += [f"{heading}# {table['title']}", "", *markdown(table["columns"], table["rows"]), ""]
         parts += [table["note"], ""] if table["note"] else []
-    parts += [summary["conclusion"], ""] if summary.get("conclusion") else []
     for error in summary["errors"]:
         parts += [f"* `{error.get('object', '')}`: {error['error']}", ""]
     return parts
 
 
-def _write_lines(lines: list[str], path: Path) -> None:
+def _write(path: Path, text: str) -> None:
     with atomic_path(path) as temporary:
-        temporary.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
-
-
-def _summaries(folder: Path) -> list[dict[str, Any]]:
-    found = []
-    for path in sorted(folder.glob("*/summary.json")):
-        content = json.loads(path.read_text(encoding="utf-8"))
-        if content.get("format") == FORMAT and "tables" in content:
-            found.append(content)
-    return found
-
-
-def _command(summary: dict[str, Any]) -> str:
-    return str(summary.get("command") or f"regrasp-opt bench {summary['name']}")
+        temporary.write_text(text.rstrip() + "\n", encoding="utf-8")
 
 
 def _provenance(summary: dict[str, Any]) -> str:
     machine = summary["environment"]["machine"]
     settings = ", ".join(f"{key} {value}" for key, value in summary["settings"].items())
     revisions = ", ".join(summary["revisions"]) or "unknown"
-    command = _command(summary) + (" --quick" if summary["settings"].get("quick") else "")
+    command = summary["command"] + (" --quick" if summary["settings"].get("quick") else "")
     return (
         f"Command: `{command}`. Settings: {settings}. Code: {revisions}. Machine: {machine['processor']}, "
         f"{machine['cores']} cores, accelerator: {machine['accelerator']}. Made {summary['made']}."
@@ -179,31 +163,14 @@ def markdown(header: Iterable[str], rows: Iterable[Iterable[Cell]]) -> list[str]
 
 _STYLE = """body{font:15px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:1100px;padding:0 1rem;color:#1f2328}
 table{border-collapse:collapse;margin:.6rem 0}th,td{border:1px solid #d0d7de;padding:.25rem .6rem;text-align:right}
-th{background:#f6f8fa}td:first-child,th:first-child{text-align:left}.note{color:#57606a;max-width:80ch}"""
+th{background:#f6f8fa}td:first-child,th:first-child{text-align:left}p{max-width:80ch}"""
 
 
-def _page(summary: dict[str, Any], figures: Sequence[Figure]) -> str:
-    parts = [
-        "<!doctype html><html lang='en'><head><meta charset='utf-8'>",
-        f"<title>{html.escape(summary['title'])}</title><style>{_STYLE}</style></head><body>",
-        f"<h1>{html.escape(summary['title'])}</h1>",
-        *(f"<p>{html.escape(text)}</p>" for text in summary["text"].split("\n\n")),
-        f"<p class='note'>{html.escape(_provenance(summary))}</p>",
-    ]
-    for table in summary["tables"]:
-        head = "".join(f"<th>{html.escape(name)}</th>" for name in table["columns"])
-        body = "".join(
-            "<tr>" + "".join(f"<td>{html.escape(shown(cell))}</td>" for cell in row) + "</tr>" for row in table["rows"]
-        )
-        parts.append(f"<h2>{html.escape(table['title'])}</h2><table><tr>{head}</tr>{body}</table>")
-        parts.append(f"<p class='note'>{html.escape(table['note'])}</p>" if table["note"] else "")
-    parts += [f"<p>{html.escape(text)}</p>" for text in summary["conclusion"].split("\n\n") if text]
-    if summary["errors"]:
-        lines = "".join(
-            f"<li>{html.escape(str(row.get('object', '')))}: {html.escape(str(row['error']))}</li>"
-            for row in summary["errors"]
-        )
-        parts.append(f"<h2>Not measured</h2><ul>{lines}</ul>")
+def _page(title: str, text: str, figures: Sequence[Figure]) -> str:
+    """Return the Markdown `text` and the figures as one HTML page that loads nothing."""
+    body = MarkdownIt("commonmark", {"html": False}).enable("table").render(text)
+    head = f"<meta charset='utf-8'><title>{html.escape(title)}</title><style>{_STYLE}</style>"
+    parts = [f"<!doctype html><html lang='en'><head>{head}</head><body>{body}"]
     for number, item in enumerate(figures):
         plot = item.figure.to_html(full_html=False, include_plotlyjs=number == 0)
         parts.append(f"<h2>{html.escape(item.caption)}</h2>{plot}")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import json
-import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -27,8 +26,6 @@ from regrasp_opt.files import atomic_path, content_hash
 
 Row = dict[str, Any]
 """One row of a result: column name to text, number, truth value or None."""
-
-logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -91,14 +88,14 @@ def run_items(items: Sequence[Item], folder: Path, *, jobs: int = -1, quiet: boo
     revision = git_revision()
     by_path = {folder / item.file_name: item for item in items}
 
-    def keep(path: Path, content: dict[str, Any]) -> None:
+    def keep(content: dict[str, Any], path: Path) -> None:
         if not any("error" in row for row in content["rows"]):
             with atomic_path(path) as temporary:
                 temporary.write_text(json.dumps(content), encoding="utf-8")
 
     with progress(quiet) as show:
         contents = resumed(
-            list(by_path),
+            by_path,
             lambda path: _read(path, by_path[path]),
             lambda path: joblib.delayed(_compute)(path, by_path[path], revision),
             keep,
@@ -117,22 +114,12 @@ def _compute(path: Path, item: Item, revision: str) -> tuple[Path, dict[str, Any
     return path, {"key": item.key, "revision": revision, "rows": [{**item.columns, **row} for row in rows]}
 
 
-def _read(path: Path, item: Item) -> dict[str, Any] | None:
-    if not path.is_file():
-        return None
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        good = content["key"] == item.key and isinstance(content["revision"], str) and _are_rows(content["rows"])
-    except (OSError, ValueError, KeyError, TypeError):
-        good = False
-    if not good:
-        logger.warning("the stored rows of '%s' in '%s' are corrupt; they are made again", item.key, path)
-        return None
+def _read(path: Path, item: Item) -> dict[str, Any]:
+    content = json.loads(path.read_text(encoding="utf-8"))
+    good = content["key"] == item.key and isinstance(content["revision"], str)
+    if not good or not all(isinstance(row, dict) for row in content["rows"]):
+        raise ValueError(f"not the rows of '{item.key}'")
     return dict(content)
-
-
-def _are_rows(rows: Any) -> bool:
-    return isinstance(rows, list) and all(isinstance(row, dict) for row in rows)
 
 
 def write_csv(rows: Sequence[Row], path: Path) -> None:

@@ -14,7 +14,7 @@ from regrasp_opt.benchmarks.harness.instances import Instance, PosePool, choose_
 from regrasp_opt.benchmarks.harness.models import TrainingRequest, trained_energies
 from regrasp_opt.benchmarks.harness.oracle import PAPER_GRID, Oracle, Resolution, build_oracle
 from regrasp_opt.benchmarks.harness.runner import Item, Results, Row, progress, run_items
-from regrasp_opt.benchmarks.harness.subjects import DEFAULT_WORKCELL, prepared_problem, sources
+from regrasp_opt.benchmarks.harness.subjects import DEFAULT_WORKCELL, mesh_files, prepared_problem
 from regrasp_opt.energy.model import EnergyModel
 from regrasp_opt.errors import RegraspError
 from regrasp_opt.objects import ObjectModel, load_object
@@ -83,9 +83,11 @@ class Session:
             return self._each(lambda s: prepared_problem(load_object(s), cell, jobs=self.jobs, progress=show))
 
     def _each(self, make: Callable[[str | Path], Made]) -> tuple[dict[str, Made], list[Row]]:
+        meshes = [] if self.objects is None else mesh_files(self.objects)
+        sources: dict[str, str | Path] = {name: name for name in self.names} | {path.name: path for path in meshes}
         found: dict[str, Made] = {}
         bad: list[Row] = []
-        for name, source in sources(self.objects, self.names).items():
+        for name, source in sources.items():
             try:
                 found[name] = make(source)
             except RegraspError as error:

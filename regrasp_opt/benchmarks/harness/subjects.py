@@ -10,7 +10,6 @@ from regrasp_opt.errors import ModelError, OptionError
 from regrasp_opt.files import content_hash
 from regrasp_opt.geometry.mesh_files import MESH_SUFFIXES
 from regrasp_opt.objects import ObjectModel
-from regrasp_opt.objects.builtin import OBJECT_NAMES
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.planning.model_store import find_model
 from regrasp_opt.planning.prepare import Progress, prepare
@@ -23,18 +22,6 @@ _RESIDENTS = 4
 logger = logging.getLogger(__name__)
 
 _residents: dict[str, RegraspProblem] = {}
-
-
-def sources(folder: Path | None, names: tuple[str, ...] = OBJECT_NAMES) -> dict[str, str | Path]:
-    """Return what the built-in objects `names` and the meshes of `folder` are loaded from, by the names they go by.
-
-    Raises
-    ------
-    OptionError
-        If `folder` is given and is not a folder or holds no mesh.
-    """
-    meshes = [] if folder is None else mesh_files(folder)
-    return {name: name for name in names} | {path.name: path for path in meshes}
 
 
 def mesh_files(folder: Path) -> list[Path]:
@@ -63,23 +50,15 @@ def prepared_problem(
     RegraspError
         If it cannot be prepared.
     """
-    problem = _stored_problem(model, cell)
-    if problem is None:
-        prepare(model, cell, jobs=jobs, progress=progress)
-        problem = RegraspProblem.load(model, cell)
-    return problem
-
-
-def _stored_problem(model: ObjectModel, cell: Workcell) -> RegraspProblem | None:
     try:
-        if find_model(model, cell) is None:
-            return None
-        problem = RegraspProblem.load(model, cell)
-        _ = problem.energy
+        if find_model(model, cell) is not None:
+            problem = RegraspProblem.load(model, cell)
+            _ = problem.energy
+            return replace(problem)
     except ModelError as error:
         logger.warning("%s; it is made again", error)
-        return None
-    return replace(problem)
+    prepare(model, cell, jobs=jobs, progress=progress)
+    return RegraspProblem.load(model, cell)
 
 
 def problem_key(problem: RegraspProblem) -> str:

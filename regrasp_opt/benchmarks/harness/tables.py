@@ -71,10 +71,10 @@ def summary(
     return Table(title, (*keys, *columns), tuple(lines), note)
 
 
-def listing(title: str, rows: Sequence[Row], columns: Mapping[str, Value]) -> Table:
-    """Return a table with a line for each row, and a note where there is none."""
+def listing(title: str, rows: Sequence[Row], columns: Mapping[str, Value], note: str = "") -> Table:
+    """Return a table with a line for each row; where there is none, the note says so."""
     lines = tuple(tuple(_read(row, value) for value in columns.values()) for row in rows)
-    return Table(title, tuple(columns), lines, "" if lines else "There are none.")
+    return Table(title, tuple(columns), lines, note if lines else "There are none.")
 
 
 def by_object(rows: Sequence[Row], names: Iterable[str], every: str | None = None) -> dict[Hashable, list[Row]]:
@@ -90,7 +90,13 @@ def time_curves(groups: Mapping[Any, list[Row]], seconds: str, done: str, title:
         times = sorted(row[seconds] for row in rows if row[done])
         shares = [100 * (i + 1) / len(rows) for i in range(len(times))]
         figure.add_trace(go.Scatter(x=times, y=shares, mode="lines", line={"shape": "hv"}, name=name))
-    figure.update_xaxes(type="log", title_text="seconds")
-    figure.update_yaxes(title_text=title, range=[0, 101])
-    figure.update_layout(height=height, margin={"l": 60, "r": 10, "t": 10, "b": 50})
-    return figure
+    figure.update_xaxes(type="log")
+    figure.update_yaxes(range=[0, 101])
+    return labelled(figure, "seconds", title, height)
+
+
+def labelled(figure: go.Figure, x: str, y: str, height: int) -> go.Figure:
+    """Return `figure` with titles of its axes and a height [px]."""
+    figure.update_xaxes(title_text=x)
+    figure.update_yaxes(title_text=y)
+    return figure.update_layout(height=height, margin={"l": 60, "r": 10, "t": 40, "b": 50})

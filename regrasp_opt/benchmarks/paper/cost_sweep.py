@@ -160,7 +160,7 @@ def _sweep_table(rows: list[Row], names: list[str]) -> Table:
     for name in names:
         sweeps = _sweeps(rows, name, max(GRASP_COUNTS))
         open_ones = [s for s in sweeps if (_weakest(s) > 0).any()]
-        for variant, label in _COST_NAMES.items():
+        for variant, label in COST_NAMES.items():
             valid = percent([_weakest(s)[int(_values(s, variant).argmin())] > 0 for s in open_ones])
             flat = percent([float((abs(np.diff(_values(s, variant))) < FLAT).mean()) for s in sweeps])
             agreement = mean([_agreement(s, variant) for s in open_ones])
@@ -174,7 +174,7 @@ def _sweep_table(rows: list[Row], names: list[str]) -> Table:
     )
 
 
-_COST_NAMES = {"J": "J_seq", "J+": "J+_seq", "Jh": "J^h_seq"}
+COST_NAMES = {"J": "J_seq", "J+": "J+_seq", "Jh": "J^h_seq"}
 
 
 def _sweeps(rows: list[Row], name: str, count: int) -> list[list[Row]]:
@@ -207,30 +207,21 @@ def _sum_figure(rows: list[Row], name: str) -> go.Figure:
         figure.add_trace(
             go.Scatter(x=[r["E_start"] for r in here], y=[r["E_goal"] for r in here], mode="markers", name=label)
         )
-    figure.update_xaxes(title_text="E at the start")
-    figure.update_yaxes(title_text="E at the goal")
-    figure.update_layout(height=420, margin={"l": 60, "r": 10, "t": 10, "b": 50})
-    return figure
+    return tables.labelled(figure, "E at the start", "E at the goal", 420)
 
 
 def _sweep_figure(rows: list[Row], name: str) -> go.Figure:
-    titles = (*_COST_NAMES.values(), "shared grasps (exact)")
+    titles = (*COST_NAMES.values(), "shared grasps (exact)")
     figure = make_subplots(rows=2, cols=2, subplot_titles=titles)
     here = [row for row in rows if row["object"] == name and "step" in row and row["first"]]
+    steps = sorted({row["step"] for row in here})
     for count in sorted({row["grasps"] for row in here}):
         curve = [row for row in here if row["grasps"] == count]
-        steps = [row["step"] for row in curve]
-        for panel, variant in enumerate(COST_VARIANTS):
-            line = go.Scatter(
-                x=steps, y=_values(curve, variant).tolist(), name=f"{_COST_NAMES[variant]}, {count} grasps"
-            )
+        for panel, (variant, name_of) in enumerate(COST_NAMES.items()):
+            line = go.Scatter(x=steps, y=[row[variant] for row in curve], name=f"{name_of}, {count} grasps")
             figure.add_trace(line, row=1 + panel // 2, col=1 + panel % 2)
     curve = [row for row in here if row["grasps"] == max((row["grasps"] for row in here), default=0)]
     for key in ("shared_start", "shared_goal", "shared_all"):
-        line = go.Scatter(
-            x=[row["step"] for row in curve], y=[row[key] for row in curve], name=key.replace("_", " with ")
-        )
+        line = go.Scatter(x=steps, y=[row[key] for row in curve], name=key.replace("_", " with "))
         figure.add_trace(line, row=2, col=2)
-    figure.update_xaxes(title_text="step")
-    figure.update_layout(height=640, margin={"l": 60, "r": 10, "t": 40, "b": 50})
-    return figure
+    return tables.labelled(figure, "step", "", 640)

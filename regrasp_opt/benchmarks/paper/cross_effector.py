@@ -7,12 +7,13 @@ from collections import Counter
 from dataclasses import dataclass, replace
 
 import numpy as np
-import plotly.graph_objects as go
 
+from regrasp_opt.benchmarks.harness import tables
+from regrasp_opt.benchmarks.harness.experiment import run_experiment
 from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
 from regrasp_opt.benchmarks.harness.models import TrainingRequest
 from regrasp_opt.benchmarks.harness.oracle import Oracle, Resolution
-from regrasp_opt.benchmarks.harness.report import Cell, Figure, Report, Table, mean, percent
+from regrasp_opt.benchmarks.harness.report import Cell, Report, Table, mean, percent
 from regrasp_opt.benchmarks.harness.runner import Item, Row
 from regrasp_opt.benchmarks.harness.session import QUICK_GRID, Session
 from regrasp_opt.benchmarks.harness.subjects import problem_key, resident
@@ -66,44 +67,46 @@ FULL = TransferSizes(END_EFFECTORS, None, 50, 20_000, QUICK_GRID)
 def run_cross_effector(session: Session) -> Report:
     """Measure S.V. for every pair of a trained and a tested end-effector."""
     sizes = QUICK if session.quick else FULL
-    bodies, rows = session.bodies()
-    items: list[Item] = []
-    hashes: dict[str, str] = {}
-    for name, body in list(bodies.items())[: sizes.objects]:
-        problems: dict[str, RegraspProblem] = {}
+
+    def work(name: str, problem: RegraspProblem) -> tuple[list[Item], str]:
+        problems, items, frozen = {}, [], []
         for effector in sizes.end_effectors:
             try:
-                problems[effector] = RegraspProblem.load(body, load_workcell(f"nova2-{effector}"))
+                problems[effector] = RegraspProblem.load(problem.object, load_workcell(f"nova2-{effector}"))
             except RegraspError as error:
-                rows.append({"object": name, "trained": effector, "tested": effector, "error": str(error)})
+                columns: Row = {"object": name, "trained": effector, "tested": effector}
+                items.append(Item(f"{name}/{effector}", "", _refused, (str(error),), columns))
         energies = {CONSTANT: constant_energy()} | _energies(session, problems, sizes.samples)
-        for tested, problem in problems.items():
-            oracle = session.oracle(f"{name}, {tested}", problem, sizes.grid)
-            prefix = f"{name}/{tested}"
-            pairs = session.chosen(prefix, problem, oracle, {"1": sizes.pairs}, 60)
-            hashes[prefix] = instances_hash(pairs)
-            depends = problem_key(problem), instances_hash(pairs), oracle.xi, session.seed, K_TOP
+        for tested, candidate in problems.items():
+            oracle = session.oracle(f"{name}, {tested}", candidate, sizes.grid)
+            pairs = session.chosen(f"{name}/{tested}", candidate, oracle, {"1": sizes.pairs}, 60)
+            frozen += pairs
+            depends = problem_key(candidate), instances_hash(pairs), oracle.xi, session.seed, K_TOP
             for trained, energy in energies.items():
                 key = content_hash(depends[0], energy.fingerprint(), *depends[1:])
-                columns: Row = {"object": name, "trained": trained, "tested": tested}
-                arguments = (replace(problem), energy, pairs, oracle, session.seed)
+                columns = {"object": name, "trained": trained, "tested": tested}
+                arguments = (replace(candidate), energy, pairs, oracle, session.seed)
                 items.append(Item(f"{name}/{trained}/{tested}", key, measure_transfer, arguments, columns))
-    results = session.execute("cross-effector", items)
-    rows = results.rows + rows
-    measured = [name for name in bodies if any(r["object"] == name and "sv" in r for r in rows)]
-    tables = tuple(_table(rows, name, sizes.end_effectors) for name in measured)
-    return Report(
+        return items, instances_hash(frozen)
+
+    def tables_of(rows: list[Row], names: list[str]) -> list[Table]:
+        measured = [name for name in names if any(r["object"] == name and "sv" in r for r in rows)]
+        return [*(_table(rows, name, sizes.end_effectors) for name in measured), _blocks(rows)]
+
+    return run_experiment(
+        session,
         "cross-effector",
         "Across end-effectors",
         TEXT,
-        (*tables, _blocks(rows)),
-        rows,
-        tuple(Figure(f"S.V. [%]: {t.title}", _heatmap(t)) for t in tables),
-        hashes,
-        results.revisions,
-        {"quick": session.quick, "seed": session.seed, "pairs": sizes.pairs, "samples": sizes.samples}
-        | {"oracle": str(sizes.grid)},
+        work,
+        tables_of,
+        settings={"pairs": sizes.pairs, "samples": sizes.samples, "oracle": str(sizes.grid)},
+        most=sizes.objects,
     )
+
+
+def _refused(reason: str) -> list[Row]:
+    raise RegraspError(reason)
 
 
 def constant_energy() -> EnergyModel:
@@ -147,16 +150,17 @@ def bridge_costs(problem: RegraspProblem, energy: GraspEnergy, oracle: Oracle, f
     return np.asarray(Q.sum(axis=1) + options.regularisation * (Q[:, 0] - Q[:, 1]) ** 2)
 
 
-def _cell(rows: list[Row], name: str, trained: str, tested: str) -> float | None:
-    wanted = (name, trained, tested)
-    return percent([r["sv"] for r in rows if "sv" in r and (r["object"], r["trained"], r["tested"]) == wanted])
+def _cells(rows: list[Row], name: str) -> dict[tuple[str, str], float]:
+    """Return S.V. [%] by trained and tested end-effector."""
+    groups = tables.grouped((row for row in rows if "sv" in row and row["object"] == name), "trained", "tested")
+    return {(trained, tested): percent(tables.values(here, "sv")) or 0.0 for (trained, tested), here in groups.items()}
 
 
 def _table(rows: list[Row], name: str, end_effectors: tuple[str, ...]) -> Table:
-    printed = CROSS_EFFECTOR.get(PAPER_OBJECT.get(name, ""), {})
+    printed, cells = CROSS_EFFECTOR.get(PAPER_OBJECT.get(name, ""), {}), _cells(rows, name)
     lines: list[tuple[Cell, ...]] = []
     for trained in (CONSTANT, *end_effectors, OWN):
-        ours = [_cell(rows, name, tested if trained == OWN else trained, tested) for tested in end_effectors]
+        ours = [cells.get((tested if trained == OWN else trained, tested)) for tested in end_effectors]
         paper = [printed.get(trained, {}).get(tested) for tested in end_effectors] if printed else []
         lines.append((trained, *ours, *paper))
     columns = ("trained", *end_effectors, *(f"paper {tested}" for tested in end_effectors if printed))
@@ -169,23 +173,20 @@ def _blocks(rows: list[Row]) -> Table:
     """Return the means of the diagonal and of the blocks beside it, with the controls over the same cells."""
     lines: list[tuple[Cell, ...]] = []
     for name in dict.fromkeys(row["object"] for row in rows if "sv" in row):
-        printed = CROSS_EFFECTOR.get(PAPER_OBJECT.get(name, ""), {})
-        found = {(r["trained"], r["tested"]) for r in rows if r["object"] == name and "sv" in r}
-        cells = sorted(cell for cell in found if cell[0] != CONSTANT)
-        blocks = {"same tool": [cell for cell in cells if cell[0] == cell[1]]}
+        printed, cells = CROSS_EFFECTOR.get(PAPER_OBJECT.get(name, ""), {}), _cells(rows, name)
+        pairs = sorted(pair for pair in cells if pair[0] != CONSTANT)
+        blocks = {"same tool": [(a, b) for a, b in pairs if a == b]}
         for trained, tested in itertools.product(KINDS, repeat=2):
-            inside = [c for c in cells if c[0] in KINDS[trained] and c[1] in KINDS[tested] and c[0] != c[1]]
+            inside = [(a, b) for a, b in pairs if a in KINDS[trained] and b in KINDS[tested] and a != b]
             blocks[f"{trained} to {tested}"] = inside
         for direction, chosen in blocks.items():
-            values = {cell: _cell(rows, name, *cell) or 0.0 for cell in chosen}
-            control = {cell: _cell(rows, name, CONSTANT, cell[1]) or 0.0 for cell in chosen}
-            own = [_cell(rows, name, tested, tested) or 0.0 for _, tested in chosen]
-            below = sum(values[cell] < control[cell] for cell in chosen)
+            control = [cells.get((CONSTANT, tested), 0.0) for _, tested in chosen]
+            values = [cells[pair] for pair in chosen]
+            own = [cells.get((tested, tested), 0.0) for _, tested in chosen]
+            below = sum(value < least for value, least in zip(values, control, strict=True))
             paper = [printed[a][b] for a, b in chosen if printed]
-            means = (mean(list(figures), 1) for figures in (control.values(), values.values(), own))
-            lines.append(
-                (name, direction, *means, min(values.values(), default=None), below, len(chosen), mean(paper, 1))
-            )
+            means = (mean(figures, 1) for figures in (control, values, own))
+            lines.append((name, direction, *means, min(values, default=None), below, len(chosen), mean(paper, 1)))
     return Table(
         "Means of the blocks",
         ("object", "trained to tested", *_BLOCK_COLUMNS),
@@ -194,14 +195,3 @@ def _blocks(rows: list[Row]) -> Table:
         "tool's own, and as printed in the paper for the same mesh. Below constant: cells where the trained energy is "
         "worse than the constant one. 'same tool' is the diagonal; the other blocks leave it out.",
     )
-
-
-def _heatmap(table: Table) -> go.Figure:
-    names = [str(row[0]) for row in table.rows]
-    tested = list(table.columns[1 : len(names) - 1])
-    values = [list(row[1 : 1 + len(tested)]) for row in table.rows]
-    figure = go.Figure(go.Heatmap(z=values, x=tested, y=names, zmin=0, zmax=100, texttemplate="%{z}"))
-    figure.update_xaxes(title_text="tested")
-    figure.update_yaxes(title_text="trained", autorange="reversed")
-    figure.update_layout(height=400, width=520, margin={"l": 60, "r": 10, "t": 10, "b": 50})
-    return figure

@@ -137,9 +137,7 @@ def run_hard_tiers(session: Session) -> Report:
     def work(name: str, problem: RegraspProblem) -> tuple[list[Item], str]:
         pairs = hard_instances(session, name, problem)
         end = "ipopt from lattice", session.seed, TIME_LIMIT
-        items = [
-            pair_item(name, c.reduced, pair, plan_row, *end, depends=end[1:], condition=c.label) for c, pair in pairs
-        ]
+        items = [pair_item(name, c.reduced, pair, plan_row, *end, condition=c.label) for c, pair in pairs]
         return items, instances_hash([pair for _, pair in pairs])
 
     return run_experiment(

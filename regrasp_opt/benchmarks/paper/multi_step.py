@@ -66,10 +66,9 @@ def _items(name: str, problem: RegraspProblem, instance: Instance, seed: int, co
     work += [("ours, threshold", k, problem, threshold_recipe(k)) for k in K_TOP]
     if compare:
         work += [("paper's method", k, paper, paper_recipe(k)) for k in K_TOP]
-    end = seed, TIME_LIMIT
     return [
         pair_item(
-            name, used, instance, plan_row, recipe, *end, label=f"/{planner}/{k}", depends=end, planner=planner, k_top=k
+            name, used, instance, plan_row, recipe, seed, TIME_LIMIT, label=f"/{planner}/{k}", planner=planner, k_top=k
         )
         for planner, k, used, recipe in work
     ]
