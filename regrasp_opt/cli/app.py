@@ -51,6 +51,7 @@ EffectorOption = Annotated[
 ModelOption = Annotated[Path | None, typer.Option(help="Energy of the arm, or folder of a prepared object.")]
 ScaleOption = Annotated[float, typer.Option(help="Metres per unit of the mesh file, e.g. 0.001.")]
 RepairOption = Annotated[bool, typer.Option("--repair", help="Repair the mesh where that is safe.")]
+ThicknessOption = Annotated[float | None, typer.Option(help="Thickness for sheets in the mesh file \\[m].")]
 SeedOption = Annotated[int, typer.Option(help="Random seed; the same seed gives the same result.")]
 PlanArgument = Annotated[Path, typer.Argument(metavar="PLAN", help="A plan file.", show_default=False)]
 
@@ -138,6 +139,7 @@ def plan(
     ] = None,
     scale: ScaleOption = 1.0,
     repair: RepairOption = False,
+    thickness: ThicknessOption = None,
     out: Annotated[Path | None, typer.Option(help="Save the plan as JSON.")] = None,
     html: Annotated[Path | None, typer.Option(help="Save a page that shows the plan.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the plan as one JSON object.")] = False,
@@ -156,7 +158,9 @@ def plan(
     from regrasp_opt.planning import RegraspProblem
     from regrasp_opt.scene import load_obstacles
 
-    problem = RegraspProblem.load(object, workcell, end_effector=end_effector, model=model, scale=scale, repair=repair)
+    problem = RegraspProblem.load(
+        object, workcell, end_effector=end_effector, model=model, scale=scale, repair=repair, thickness=thickness
+    )
     if obstacles is not None:
         problem = problem.with_obstacles(load_obstacles(obstacles))
     search = {"refiner": refiner, "max_regrasps": max_regrasps, "seed": seed, "time_limit": time_limit}
@@ -183,6 +187,7 @@ def prepare(
     jobs: Annotated[int, typer.Option(help="Worker processes; -1 uses all cores.")] = -1,
     scale: ScaleOption = 1.0,
     repair: RepairOption = False,
+    thickness: ThicknessOption = None,
     out: Annotated[Path | None, typer.Option(help="File (or folder, of an object's model) to write.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the report as one JSON object.")] = False,
 ) -> int:
@@ -204,7 +209,7 @@ def prepare(
     if object is None:
         return run_prepare(cell, json, poses=poses, out=out, seed=seed, jobs=jobs)
     interrupts.resumable()
-    body = load_object(object, scale=scale, repair=repair)
+    body = load_object(object, scale=scale, repair=repair, thickness=thickness)
     return run_prepare_object(body, cell, json, samples=samples, num_grasps=grasps, out=out, seed=seed, jobs=jobs)
 
 
@@ -220,6 +225,7 @@ def inspect(
     end_effector: EffectorOption = None,
     scale: ScaleOption = 1.0,
     repair: RepairOption = False,
+    thickness: ThicknessOption = None,
     html: Annotated[Path | None, typer.Option(help="Write a page that shows the workcell and the object.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the description as one JSON object.")] = False,
 ) -> int:
@@ -235,7 +241,7 @@ def inspect(
 
     if html is not None or (workcell is None and object is None):
         workcell, object = workcell or "nova2-w", object or "bottle"
-    mesh, cell = {"scale": scale, "repair": repair}, {"end_effector": end_effector}
+    mesh, cell = {"scale": scale, "repair": repair, "thickness": thickness}, {"end_effector": end_effector}
     return run_inspect(workcell, object, mesh, cell, html=html, as_json=json)
 
 

@@ -14,6 +14,7 @@ from rich.markup import escape
 from regrasp_opt.cli.output import make_console, plain_table, working
 from regrasp_opt.errors import HomeCollisionError
 from regrasp_opt.objects import ObjectModel, load_object
+from regrasp_opt.objects.changes import Changes
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.planning.inspection import (
     counted_bodies,
@@ -134,13 +135,7 @@ def _show_robot(console: Console, robot: dict[str, Any]) -> None:
 
 
 def _show_object(console: Console, model: dict[str, Any]) -> None:
-    repair = model["repair"]
-    repaired = "none asked for"
-    if repair is not None:
-        before, after = repair["faces"]
-        repaired = (
-            f"{before} faces in the file, {after} after the repair" if before != after else "nothing had to be repaired"
-        )
+    changes = model["changes"]
     _heading(console, f"object {model['name']}", model["source"])
     _facts(
         console,
@@ -148,7 +143,7 @@ def _show_object(console: Console, model: dict[str, Any]) -> None:
         ("volume", f"{1e6 * model['volume']:.1f} cm3, {model['volume'] * 1e3:.3f} kg at the density of water"),
         ("centre of mass", f"{_mm(*model['center_of_mass'], by=', ')} in the frame of the mesh, at uniform density"),
         ("radii of gyration", f"{_mm(*model['radii_of_gyration'], by=', ')} about the principal axes"),
-        ("repair", repaired),
+        ("changes", "none" if changes is None else Changes(**changes).sentence()),
     )
 
 

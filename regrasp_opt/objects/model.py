@@ -22,19 +22,19 @@ from regrasp_opt.objects.rolling import Hull
 
 @dataclass(frozen=True, eq=False)
 class ObjectModel:
-    """A rigid solid of uniform density.
+    """A rigid solid of uniform density, of one body or several that keep their places.
 
     Attributes
     ----------
     name : str
         The built-in name, or the stem of the file's name.
     mesh : trimesh.Trimesh
-        Watertight surface with outward normals in the object frame, which is that of the file [m].
+        Watertight surfaces with outward normals in the object frame, which is that of the file [m].
     placements : tuple of Placement
         Stable placements by decreasing margin; empty if there are none.
     source : str
         ``"built-in"`` or the path of the file.
-    scale, repair
+    scale, repair, thickness
         What `load_object` was told, so that the same object can be loaded again.
     """
 
@@ -44,6 +44,7 @@ class ObjectModel:
     source: str = "built-in"
     scale: float = 1.0
     repair: bool = False
+    thickness: float | None = None
 
     @cached_property
     def vertices(self) -> FloatArray:
@@ -83,10 +84,13 @@ class ObjectModel:
         return self._fingerprint
 
 
-def load_object(name_or_path: str | os.PathLike[str], *, scale: float = 1.0, repair: bool = False) -> ObjectModel:
+def load_object(
+    name_or_path: str | os.PathLike[str], *, scale: float = 1.0, repair: bool = False, thickness: float | None = None
+) -> ObjectModel:
     """Return a built-in object by name, or any other from the path of its mesh file.
 
-    A string is taken as a path when it ends in a mesh suffix, has a folder in it or names a file.
+    A string is taken as a path when it ends in a mesh suffix, has a folder in it or names a file. Bodies that overlap
+    or touch are united, cavities filled; bodies that are apart are one rigid object.
 
     Parameters
     ----------
@@ -95,7 +99,9 @@ def load_object(name_or_path: str | os.PathLike[str], *, scale: float = 1.0, rep
     scale : float
         Metres per unit of the file, for example 0.001; also scales a built-in object.
     repair : bool
-        Repair the file's mesh where that can be done safely.
+        Repair the file's mesh where that can be done safely; a warning says what was changed.
+    thickness : float, optional
+        Thickness that sheets, surfaces that enclose nothing, are given [m].
 
     Raises
     ------
@@ -104,16 +110,18 @@ def load_object(name_or_path: str | os.PathLike[str], *, scale: float = 1.0, rep
     MeshError
         If the file cannot be read or holds no solid of a plausible size; names the repair where there is one.
     OptionError
-        If `scale` is not a positive number, or makes a built-in object implausibly large or small.
+        If `scale` or `thickness` is not a positive number, or makes no sense for the object.
     """
     if isinstance(name_or_path, str) and name_or_path in OBJECT_NAMES:
+        if thickness is not None:
+            raise OptionError(f"the built-in {name_or_path} has no open sheet; omit the thickness")
         return _built_in(name_or_path, scale)
     path = Path(name_or_path)
     is_bare = isinstance(name_or_path, str) and path.name == name_or_path and not os.path.isfile(path)
     if is_bare and path.suffix.lower() not in MESH_SUFFIXES:
         raise UnknownNameError("object", str(name_or_path), OBJECT_NAMES)
-    mesh = read_mesh(path, scale=scale, repair=repair)
-    return ObjectModel(path.stem, mesh, stable_placements(mesh), str(path), scale, repair)
+    mesh = read_mesh(path, scale=scale, repair=repair, thickness=thickness)
+    return ObjectModel(path.stem, mesh, stable_placements(mesh), str(path), scale, repair, thickness)
 
 
 def _built_in(name: str, scale: float) -> ObjectModel:

@@ -11,11 +11,13 @@ from typing import Any
 
 import coal
 import numpy as np
+import trimesh
 
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.geometry.mesh_files import read_triangles
 from regrasp_opt.geometry.shapes import Shape, shape_geometry
 from regrasp_opt.objects import ObjectModel
+from regrasp_opt.objects.changes import compare
 from regrasp_opt.objects.placements import rejected_placements
 from regrasp_opt.objects.rolling import LEAST_MARGIN
 from regrasp_opt.planning.problem import RegraspProblem
@@ -121,7 +123,7 @@ def _describe_end_effector(workcell: Workcell) -> Data:
 
 
 def describe_object(model: ObjectModel) -> Data:
-    """Return size, mass properties at uniform density, repairs, and the ways of resting of `model`."""
+    """Return size, mass properties at uniform density, what was changed, and the ways of resting of `model`."""
     mesh = model.mesh
     radii = np.sqrt(np.sort(mesh.principal_inertia_components) / mesh.mass)
     rejected = rejected_placements(mesh)
@@ -135,7 +137,9 @@ def describe_object(model: ObjectModel) -> Data:
         "volume": float(mesh.volume),
         "center_of_mass": model.center_of_mass.tolist(),
         "radii_of_gyration": radii.tolist(),
-        "repair": _repair(model),
+        "repair": model.repair,
+        "thickness": model.thickness,
+        "changes": _changes(model),
         "placements": [
             _placement(model, p.pose) | {"number": i, "margin": p.margin} for i, p in enumerate(model.placements)
         ],
@@ -151,15 +155,13 @@ def _placement(model: ObjectModel, pose: FloatArray) -> Data:
     return {"height": float(np.ptp(heights)), "center_height": float(model.center_of_mass @ pose[2, :3] + pose[2, 3])}
 
 
-def _repair(model: ObjectModel) -> Data | None:
-    """Return the faces in the file and after the repair; None where none was asked for."""
-    if not model.repair:
+def _changes(model: ObjectModel) -> Data | None:
+    """Return what became of the surfaces in the object's file; None if they were taken as they are."""
+    if model.source == "built-in":
         return None
     vertices, faces = read_triangles(Path(model.source))
-    return {
-        "faces": [len(faces), len(model.faces)],
-        "vertices": [len(np.unique(vertices, axis=0)), len(model.vertices)],
-    }
+    found = compare(trimesh.Trimesh(vertices * model.scale, faces), model.mesh)
+    return None if found is None else found._asdict()
 
 
 def describe_grasps(problem: RegraspProblem) -> Data:

@@ -137,4 +137,6 @@ def command_arguments(body: ObjectModel, workcell: Workcell) -> str:
         parts += ["--scale", f"{body.scale:g}"]
     if body.repair:
         parts.append("--repair")
+    if body.thickness is not None:
+        parts += ["--thickness", f"{body.thickness:g}"]
     return shlex.join(parts)

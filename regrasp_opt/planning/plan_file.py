@@ -46,6 +46,7 @@ Plan = TypeVar("Plan", bound=PlanData)
 class _Object(Reference):
     scale: float = 1.0
     repair: bool = False
+    thickness: float | None = None
 
 
 class _Workcell(SceneRecord):
@@ -126,7 +127,8 @@ def plan_content(plan: PlanData) -> dict[str, Any]:
         "xi": plan.xi.tolist(),
         "seed": plan.seed,
         "refiner_stats": plan.refiner_stats,
-        "object": {**reference(body, body.source), "scale": body.scale, "repair": body.repair},
+        "object": reference(body, body.source)
+        | {"scale": body.scale, "repair": body.repair, "thickness": body.thickness},
         "workcell": {
             "source": absolute(cell.source),
             "name": cell.name,
@@ -185,7 +187,8 @@ def _parse(raw: Any, path: Path) -> _File:
 
 def _problem(content: _File, path: Path) -> RegraspProblem:
     what = content.object
-    body = load_object(what.name if what.source == "built-in" else what.source, scale=what.scale, repair=what.repair)
+    name = what.name if what.source == "built-in" else what.source
+    body = load_object(name, scale=what.scale, repair=what.repair, thickness=what.thickness)
     if body.fingerprint() != what.fingerprint:
         raise PlanFileError(f"the object '{what.name}' has changed since the plan '{path}' was made; plan again")
     cell = _unchanged_cell(content.workcell, path)

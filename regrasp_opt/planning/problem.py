@@ -68,6 +68,7 @@ class RegraspProblem(ProblemData):
         grasps: GraspSet | None = None,
         scale: float = 1.0,
         repair: bool = False,
+        thickness: float | None = None,
         preset: Literal["default", "paper"] = "default",
     ) -> RegraspProblem:
         """Load a problem by names or paths.
@@ -88,7 +89,7 @@ class RegraspProblem(ProblemData):
             Each must hold the object and be free of it otherwise (`regrasp_opt.grasps.Failure`). One warning names
             those that are left out, as does `left_out`; grasp ids of plans number the rest. Grasps of a `model` that
             is named are tested as well.
-        scale, repair
+        scale, repair, thickness
             Same as in `load_object`.
         preset : {"default", "paper"}
             Which of the prepared energies to plan with.
@@ -104,7 +105,10 @@ class RegraspProblem(ProblemData):
         """
         if preset not in ENERGY_FILES:
             raise UnknownNameError("preset", preset, ENERGY_FILES)
-        body = object if isinstance(object, ObjectModel) else load_object(object, scale=scale, repair=repair)
+        if isinstance(object, ObjectModel):
+            body = object
+        else:
+            body = load_object(object, scale=scale, repair=repair, thickness=thickness)
         if not isinstance(workcell, Workcell):
             workcell = load_workcell(workcell, end_effector=end_effector)
         if not body.placements:

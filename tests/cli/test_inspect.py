@@ -76,13 +76,17 @@ def test_one_of_the_two_alone(capsys):
 def test_what_rolls_and_what_was_repaired_is_told(tmp_path, capsys):
     trimesh.creation.cylinder(0.03, 0.1, sections=24).export(tmp_path / "can.stl")
     said = in_process(capsys, "inspect", "--object", tmp_path / "can.stl").out
-    assert "it rolls there: 24 facet(s), margin at most 0.132" in said and "repair: none asked for" in said
+    assert "it rolls there: 24 facet(s), margin at most 0.132" in said and "changes: none" in said
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.03)
     trimesh.Trimesh(ball.vertices, ball.faces[:-1], process=False).export(tmp_path / "ball.stl")
     assert_refused(in_process(capsys, "inspect", "--object", tmp_path / "ball.stl"), "not watertight")
     mended = in_process(capsys, "inspect", "--object", tmp_path / "ball.stl", "--workcell", "nova2-w", "--repair")
     assert mended.code == 0 and "no stable placement" in mended.out
-    assert "319 faces in the file, 320 after the repair" in mended.out
+    assert "changes: faces 319 -> 320, volume " in mended.out
+    trimesh.util.concatenate([ball, ball.copy().apply_translation((0.025, 0, 0))]).export(tmp_path / "two.stl")
+    data = in_process(capsys, "inspect", "--object", tmp_path / "two.stl", "--json").data["object"]
+    assert data["changes"]["bodies"] == [2, 1] and data["changes"]["volume"][0] > data["volume"]
+    assert not data["repair"] and data["thickness"] is None
 
 
 @pytest.mark.parametrize(

@@ -59,11 +59,12 @@ def _binary_stl(path):
 
 def read_object(reference):
     """Return vertices (V, 3) [m] and triangles (F, 3) of the object that a plan file names."""
-    if reference["source"] == "built-in" or reference.get("repair"):
+    options = {key: reference[key] for key in ("scale", "repair", "thickness") if key in reference}
+    if reference["source"] == "built-in" or reference.get("repair") or reference.get("thickness"):
         from regrasp_opt.objects import load_object  # no file holds these meshes
 
         name = reference["name"] if reference["source"] == "built-in" else reference["source"]
-        body = load_object(name, scale=reference.get("scale", 1.0), repair=reference.get("repair", False))
+        body = load_object(name, **options)
         return np.array(body.vertices), np.array(body.faces)
     return read_mesh(reference["source"], reference.get("scale", 1.0))
 

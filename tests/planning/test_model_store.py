@@ -240,8 +240,8 @@ def test_bundled_models_are_whole_small_and_good(name):
 def test_the_command_that_prepares_names_all_that_the_problem_was_loaded_with(tmp_path):
     mesh = tmp_path / "two words.stl"
     load_object("pentagon").mesh.export(mesh)
-    body = load_object(mesh, scale=0.5, repair=True)
+    body = replace(load_object(mesh, scale=0.5, repair=True), thickness=0.001)
     cell = load_workcell("nova2-w", end_effector="r85")
     assert command_arguments(load_object("pentagon"), load_workcell("nova2-s1")) == "pentagon --workcell nova2-s1"
-    wanted = f"'{mesh}' --workcell nova2-w --end-effector r85 --scale 0.5 --repair"
+    wanted = f"'{mesh}' --workcell nova2-w --end-effector r85 --scale 0.5 --repair --thickness 0.001"
     assert command_arguments(body, cell) == wanted
