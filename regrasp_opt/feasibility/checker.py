@@ -8,6 +8,7 @@ reach (vectorised), inverse kinematics, then Coal on each branch until one is fr
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import coal
@@ -126,15 +127,15 @@ class FeasibilityChecker:
             if len(open_pairs):
                 result[open_pairs] = self._feasible_pairs(T[open_pairs], grasp_ids[open_pairs])
             return result
-        branches = self.branches(T, grasp_ids)
-        pair_before = -1
-        for q, pair in zip(branches.q, branches.pair.tolist(), strict=True):
-            if result[pair]:
-                continue
-            if pair != pair_before:
-                self._arrange(T[pair], int(grasp_ids[pair]))
-                pair_before = pair
-            result[pair] = not self.scene.collides(q)
+        for branches in self._branches_of_open(T, grasp_ids, result):
+            pair_before = -1
+            for q, pair in zip(branches.q, branches.pair.tolist(), strict=True):
+                if result[pair]:
+                    continue
+                if pair != pair_before:
+                    self._arrange(T[pair], int(grasp_ids[pair]))
+                    pair_before = pair
+                result[pair] = not self.scene.collides(q)
         return result
 
     def configurations(self, T: FloatArray, grasp_ids: IntArray) -> list[FloatArray]:
@@ -215,10 +216,23 @@ class FeasibilityChecker:
 
     def branches(self, T: FloatArray, grasp_ids: IntArray) -> Branches:
         """Return the arm's configurations within limits for M pairs, less those that cannot be free of collision."""
+        kept, targets = self._targets(T, grasp_ids)
+        solutions = self.workcell.arm.robot.solve_ik(targets)
+        return Branches(solutions.q, kept[solutions.pose_index])
+
+    def _branches_of_open(self, T: FloatArray, grasp_ids: IntArray, done: BoolArray) -> Iterator[Branches]:
+        """Yield some of the branches after the other, each time of those pairs that are not `done` (M,) by then."""
+        kept, targets = self._targets(T, grasp_ids)
+        for solve in self.workcell.arm.robot.ik.parts:
+            left = ~done[kept]
+            solutions = solve(targets[left])
+            yield Branches(solutions.q, kept[left][solutions.pose_index])
+
+    def _targets(self, T: FloatArray, grasp_ids: IntArray) -> tuple[IntArray, FloatArray]:
+        """Return which of M pairs neither reach nor table rules out (K,), and their ``T_base_tip`` (K, 4, 4)."""
         T_world_flange = self.flange_poses(T, grasp_ids)
         kept = np.flatnonzero(self.in_reach(T_world_flange) & ~self.gripper_in_table(T_world_flange, grasp_ids))
-        solutions = self.workcell.arm.robot.solve_ik(self.workcell.arm.T_base_world @ T_world_flange[kept])
-        return Branches(solutions.q, kept[solutions.pose_index])
+        return kept, self.workcell.arm.T_base_world @ T_world_flange[kept]
 
     def flange_poses(self, T: FloatArray, grasp_ids: IntArray) -> FloatArray:
         """Return ``T_world_flange`` (M, 4, 4) of `grasp_ids` (M,) at object poses `T` (M, 4, 4) or (4, 4)."""

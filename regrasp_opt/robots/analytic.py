@@ -10,7 +10,7 @@ solutions hold the arm's own configurations (`IkTest`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from copy import copy
 
 import numpy as np
@@ -73,22 +73,39 @@ class AnalyticIk:
         """EAIK's name of the decomposition, for example ``"6R-THREE_INNER_PARALLEL"``."""
         return str(self._solver.getKinematicFamily())
 
+    @property
+    def name(self) -> str:
+        """What it is, for people."""
+        return f"analytic, {self.family}"
+
+    @property
+    def parts(self) -> tuple[Callable[[FloatArray], IkSolutions]]:
+        """The whole: EAIK finds all branches at once."""
+        return (self.solve,)
+
     def solve(self, T_base_tip: FloatArray) -> IkSolutions:
         """Return every branch within the joint limits for poses (B, 4, 4), each one verified."""
         T = nearest_rotations(T_base_tip)
+        near, touching = self.near(T)
+        return settle(self._chain, T, near, touching, self._lower, self._upper)
+
+    def near(self, T: FloatArray) -> tuple[IkSolutions, BoolArray | None]:
+        """Return what EAIK finds for poses `T` (B, 4, 4) with exact rotations.
+
+        If that is for an arm next to the true one, it has yet to be polished. The second array (M,), which is None
+        otherwise, says then which are only least-squares solutions.
+        """
         targets = T.copy()
         targets[:, :3, :3] = T[:, :3, :3] @ self._R_tip_base_at_zero
         solutions = [self._solver.IK(target) for target in targets]
         raw = [solution.Q for solution in solutions]
         counts = np.array([len(q) for q in raw], dtype=np.int64)
-        if not counts.sum():
-            return IkSolutions(np.zeros((0, 6)), np.zeros(0, dtype=np.int64))
-        q = np.concatenate([branch for branch in raw if len(branch)]) * self._sense + self._zero
+        q = np.concatenate([np.zeros((0, 6)), *(branch for branch in raw if len(branch))]) * self._sense + self._zero
         found = IkSolutions(q, np.repeat(np.arange(len(T)), counts))
         if not self._polished:
-            return verify(self._chain, T, found, self._lower, self._upper)
-        touching = np.concatenate([solution.is_LS for solution in solutions if len(solution.Q)]).astype(bool)
-        return self._polish(T, found, touching)
+            return found, None
+        touching = [solution.is_LS for solution in solutions if len(solution.Q)]
+        return found, np.concatenate([np.zeros(0, dtype=bool), *touching]).astype(bool)
 
     def without_limits(self) -> AnalyticIk:
         """Return the solver of the same arm with joints that turn all the way round."""
@@ -96,23 +113,34 @@ class AnalyticIk:
         free._lower, free._upper = np.full(6, -np.pi), np.full(6, np.pi)
         return free
 
-    def _polish(self, T: FloatArray, near: IkSolutions, touching: BoolArray) -> IkSolutions:
-        """Return the solutions next to those of an arm that differs a little, some of them twice.
 
-        Where a solution of that arm is only a least-squares one, `touching` (M,), this one may have two, or none.
-        """
-        start, index = near
-        q, errors = polish(self._chain, T[index], start)
-        rough = np.flatnonzero((errors > POLISHED) & (errors < CAPTURE))
-        unsure = np.flatnonzero((touching | (errors > UNSURE)) & (errors < CAPTURE))
-        again = index[np.concatenate([rough, unsure, unsure])]
-        starts = np.concatenate([q[rough], astride(self._chain, start[unsure], ASIDE)])
-        better, left = descend(self._chain, T[again], starts, STEPS)
-        q, index, errors = np.concatenate([q, better]), np.concatenate([index, again]), np.concatenate([errors, left])
-        good = np.flatnonzero(errors <= POLISHED)
-        good = good[np.argsort(index[good], kind="stable")]
-        q, fits = principal(q[good], self._lower, self._upper, ~self._chain.prismatic)
-        return distinct(IkSolutions(q[fits], index[good][fits]))
+def settle(
+    chain: SerialChain,
+    T: FloatArray,
+    near: IkSolutions,
+    touching: BoolArray | None,
+    lower: FloatArray,
+    upper: FloatArray,
+) -> IkSolutions:
+    """Return the true solutions of `chain` within limits (dof,) for `T` (B, 4, 4) from those of `AnalyticIk.near`.
+
+    Those of another arm are polished. Where a solution of that arm is only a least-squares one, `touching` (M,), this
+    one may have two, or none.
+    """
+    if touching is None:
+        return verify(chain, T, near, lower, upper)
+    start, index = near
+    q, errors = polish(chain, T[index], start)
+    rough = np.flatnonzero((errors > POLISHED) & (errors < CAPTURE))
+    unsure = np.flatnonzero((touching | (errors > UNSURE)) & (errors < CAPTURE))
+    again = index[np.concatenate([rough, unsure, unsure])]
+    starts = np.concatenate([q[rough], astride(chain, start[unsure], ASIDE)])
+    better, left = descend(chain, T[again], starts, STEPS)
+    q, index, errors = np.concatenate([q, better]), np.concatenate([index, again]), np.concatenate([errors, left])
+    good = np.flatnonzero(errors <= POLISHED)
+    good = good[np.argsort(index[good], kind="stable")]
+    q, fits = principal(q[good], lower, upper, ~chain.prismatic)
+    return distinct(IkSolutions(q[fits], index[good][fits]))
 
 
 def descriptions(chain: SerialChain, lower: FloatArray, upper: FloatArray) -> Iterator[AnalyticIk]:

@@ -6,6 +6,7 @@ and keeps only those whose forward kinematics gives the pose that was asked for.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -37,9 +38,26 @@ class IkSolutions(NamedTuple):
 class InverseKinematics(Protocol):
     """Finds configurations for poses of the tip."""
 
+    @property
+    def name(self) -> str:
+        """What it is, for people."""
+        ...
+
+    @property
+    def parts(self) -> Sequence[Callable[[FloatArray], IkSolutions]]:
+        """Functions like `solve` that find some of the configurations each, for those whom any one may satisfy."""
+        ...
+
     def solve(self, T_base_tip: FloatArray) -> IkSolutions:
         """Return configurations within limits that reach `T_base_tip` (B, 4, 4), each one verified."""
         ...
+
+
+def in_pieces(solve: Callable[[FloatArray], IkSolutions], T: FloatArray, size: int) -> IkSolutions:
+    """Return what `solve` finds for poses `T` (B, 4, 4), at most `size` of them at a time."""
+    found = [solve(T[first : first + size]) for first in range(0, max(len(T), 1), size)]
+    index = [solutions.pose_index + size * piece for piece, solutions in enumerate(found)]
+    return IkSolutions(np.concatenate([solutions.q for solutions in found]), np.concatenate(index))
 
 
 def nearest_rotations(T: ArrayLike) -> FloatArray:
@@ -65,6 +83,12 @@ def principal(q: FloatArray, lower: FloatArray, upper: FloatArray, turning: Bool
     moved = np.where(turning, wrapped + 2 * np.pi * turns, wrapped)
     fits: BoolArray = np.all((moved >= low) & (moved <= high), axis=-1)
     return moved, fits
+
+
+def one_turn(chain: SerialChain, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return limits (dof,) within `lower` and `upper` (dof,) that leave a turning joint at most one turn, around 0."""
+    low = np.where(chain.prismatic, lower, np.maximum(lower, np.clip(0.0, lower, upper) - np.pi))
+    return low, np.where(chain.prismatic, upper, np.minimum(upper, low + 2 * np.pi))
 
 
 def reaches(chain: SerialChain, T: FloatArray, q: FloatArray) -> BoolArray:

@@ -31,12 +31,15 @@ class SerialChain:
         Whether the joint slides along its axis [m] instead of turning about it [rad].
     tip : (4, 4) array
         Pose of the tip in the last joint frame [m].
+    still : int, optional
+        Number of a joint that solvers leave where it is.
     """
 
     placements: FloatArray
     axes: FloatArray
     prismatic: BoolArray
     tip: FloatArray
+    still: int | None = None
 
     @property
     def dof(self) -> int:
@@ -88,6 +91,16 @@ class SerialChain:
         frames = np.stack([_assemble(a, o) for a, o in zip(axes[:-1], origins[:-1], strict=True)], axis=1)
         frames[..., :3, :3] = frames[..., :3, :3] @ np.swapaxes(self._turned[0], -1, -2)
         return frames.reshape(*np.shape(q)[:-1], self.dof, 4, 4)
+
+    def locked(self, joint: int, value: float) -> SerialChain:
+        """Return this chain without the joint of number `joint`, which stands still at `value` [rad, m]."""
+        one = slice(joint, joint + 1)
+        still = SerialChain(self.placements[one], self.axes[one], self.prismatic[one], np.eye(4)).forward([value])
+        steps: FloatArray = np.concatenate([self.placements, self.tip[None]])
+        steps[joint + 1] = still @ steps[joint + 1]
+        *placements, tip = np.delete(steps, joint, axis=0)
+        others = np.arange(self.dof) != joint
+        return SerialChain(np.array(placements), self.axes[others], self.prismatic[others], tip)
 
     def reach(self, lower: FloatArray, upper: FloatArray) -> float:
         """Return an upper bound on the distance from base origin to tip within joint limits (dof,) [m]."""

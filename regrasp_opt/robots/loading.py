@@ -163,7 +163,7 @@ def build_robot(source: RobotSource) -> Robot:
         collision=collision_bodies(root, model, path),
         tip_frame=source.tip,
         chain=chain,
-        ik=inverse_kinematics(source.name, chain, lower, upper, home),
+        ik=inverse_kinematics(source.name, chain, lower, upper),
         lower=lower,
         upper=upper,
         velocity_limits=np.array(model.velocityLimit),

@@ -70,6 +70,8 @@ def astride(chain: SerialChain, q: FloatArray, step: float) -> FloatArray:
     x = np.array(q.T, order="C")
     J = _error(chain, _goal(np.eye(4)[None].repeat(len(q), 0)), x)[1]
     factors, direction = _factors(J, np.full(len(q), LEAST_DAMPING)), np.ones_like(x)
+    if chain.still is not None:
+        direction[chain.still] = 0.0
     for _ in range(3):  # inverse iteration
         direction = _solve(factors, direction)
         direction = direction / np.abs(direction).max(axis=0)
@@ -122,6 +124,7 @@ def _error(chain: SerialChain, goal: FloatArray, q: FloatArray, jacobian: bool =
     """Return the twist (6, B) from the tip at `q` (dof, B) to `goal`, linear part first, and the Jacobian.
 
     The Jacobian (6, dof, B) is that of the tip's velocity in the base frame, empty unless asked for.
+    A joint that the chain has still has a column of zeros, so that no step moves it.
     """
     axes, origins = chain.frames(q.T, q.dtype.type)
     tip, origin = axes[-1], origins[-1]
@@ -134,10 +137,11 @@ def _error(chain: SerialChain, goal: FloatArray, q: FloatArray, jacobian: bool =
         return error, error[:0]
     z = np.stack([axis[2] for axis in axes[:-1]], axis=1)
     linear = _cross(z, origin[:, None] - np.stack(origins[:-1], axis=1))
-    if not chain.prismatic.any():
-        return error, np.concatenate([linear, z])
     slides = chain.prismatic[:, None]
-    return error, np.concatenate([np.where(slides, z, linear), np.where(slides, 0.0, z)])
+    J = np.concatenate([np.where(slides, z, linear), np.where(slides, 0.0, z)] if slides.any() else [linear, z])
+    if chain.still is not None:
+        J[:, chain.still] = 0.0
+    return error, J
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:

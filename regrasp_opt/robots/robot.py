@@ -48,7 +48,8 @@ class Robot:
     chain : SerialChain
         The same joints for batches of configurations.
     ik : InverseKinematics
-        Analytic where that finds the arm's own configurations, else numerical; see `ik_test`.
+        Analytic where that finds the arm's own configurations, of seven joints with one of them locked at sampled
+        values; else numerical. See `ik_test`.
     lower, upper : (dof,) arrays
         Joint limits [rad, m]. A continuous joint has +-2 pi.
     velocity_limits : (dof,) array
@@ -97,7 +98,7 @@ class Robot:
 
     @cached_property
     def ik_test(self) -> IkTest:
-        """How the inverse kinematics does on configurations of this arm; a numerical one takes about 0.1 s for it."""
+        """How the inverse kinematics does on configurations of this arm; a numerical one takes up to 0.5 s for it."""
         return self_test(self.ik, self.chain, self.lower, self.upper)
 
     def forward(self, q: ArrayLike) -> FloatArray:
@@ -111,14 +112,15 @@ class Robot:
     def solve_ik(self, T_base_tip: ArrayLike) -> IkSolutions:
         """Return configurations within limits that put the tip at poses (B, 4, 4), or at one pose (4, 4).
 
-        With an analytic solver these are all branches, each turning joint at its value nearest to 0 that
-        lies within its limits; `equivalents` gives the others. With a numerical one they are those that its
-        starts reach. Every one reproduces its pose to `FK_POSITION_TOLERANCE` and `FK_ROTATION_TOLERANCE`.
+        With an analytic solver these are all branches, each turning joint at its value nearest to 0 that lies within
+        its limits; `equivalents` gives the others. With seven joints they are those at the sampled values of one joint;
+        with a numerical solver, those that its starts reach. Every one reproduces its pose to `FK_POSITION_TOLERANCE`
+        and `FK_ROTATION_TOLERANCE`.
         """
         return self.ik.solve(np.asarray(T_base_tip, dtype=np.float64).reshape(-1, 4, 4))
 
     def reaches(self, T_base_tip: FloatArray) -> BoolArray:
-        """Return which poses (B, 4, 4) the tip could reach but for the limits; with a numerical solver, all."""
+        """Return which poses (B, 4, 4) the tip could reach but for the limits; where that is not known, all."""
         reached = np.full(len(T_base_tip), not isinstance(self.ik, AnalyticIk))
         if isinstance(self.ik, AnalyticIk):
             reached[self.ik.without_limits().solve(T_base_tip).pose_index] = True

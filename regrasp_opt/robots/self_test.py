@@ -13,19 +13,20 @@ import numpy as np
 
 from regrasp_opt.conventions import FloatArray, pose_distance
 from regrasp_opt.robots.analytic import AnalyticIk, descriptions
-from regrasp_opt.robots.ik import InverseKinematics
+from regrasp_opt.robots.ik import InverseKinematics, one_turn
 from regrasp_opt.robots.kinematics import SerialChain
+from regrasp_opt.robots.locked import LockedIk, Sample, halving
 from regrasp_opt.robots.numerical import NumericalIk
 
 logger = logging.getLogger(__name__)
 
 TRIED = 64
-"""Configurations that an analytic solver is tried on."""
-TRIED_NUMERICALLY = 8
-"""The same for a numerical solver, which takes thousands of times as long."""
+"""Configurations that a solver is tried on."""
 ENOUGH = 0.85
 """Share of them that an analytic solver has to find. Where axes are a millimetre off it misses up to a tenth, those
 next to singularities; one that does not fit the arm misses most."""
+ANYWHERE = 0.38
+"""A joint is not locked where this share of its range leaves an arm without an analytic solver."""
 SAME = 1e-3
 """A configuration is found where no joint of a solution is further away, but for whole turns [rad, m]."""
 
@@ -36,7 +37,7 @@ class IkTest(NamedTuple):
     Attributes
     ----------
     solver : str
-        ``"analytic"`` with EAIK's name of the decomposition, or ``"numerical"``.
+        ``"analytic"`` with EAIK's name of the decomposition and the joint that is locked, or ``"numerical"``.
     tried : int
         Number of configurations.
     solved : int
@@ -57,9 +58,7 @@ class IkTest(NamedTuple):
 
 def self_test(ik: InverseKinematics, chain: SerialChain, lower: FloatArray, upper: FloatArray) -> IkTest:
     """Return how `ik` does on random configurations of `chain` within the limits (dof,) [rad, m]."""
-    analytic = isinstance(ik, AnalyticIk)
-    tried = TRIED if analytic else TRIED_NUMERICALLY
-    q = np.random.default_rng(0).uniform(lower, upper, (tried, chain.dof))
+    q = np.random.default_rng(0).uniform(lower, upper, (TRIED, chain.dof))
     T = chain.forward(q)
     solutions = ik.solve(T)
     apart = solutions.q - q[solutions.pose_index]
@@ -67,28 +66,20 @@ def self_test(ik: InverseKinematics, chain: SerialChain, lower: FloatArray, uppe
     same = np.abs(apart).max(axis=1) <= SAME
     distance, angle = pose_distance(chain.forward(solutions.q), T[solutions.pose_index])
     return IkTest(
-        solver=f"analytic, {ik.family}" if isinstance(ik, AnalyticIk) else "numerical",
-        tried=tried,
+        solver=ik.name,
+        tried=TRIED,
         solved=len(set(solutions.pose_index)),
         found=len(set(solutions.pose_index[same])),
         residual=float(np.maximum(distance, angle).max(initial=0.0)),
     )
 
 
-def inverse_kinematics(
-    name: str, chain: SerialChain, lower: FloatArray, upper: FloatArray, home: FloatArray
-) -> InverseKinematics:
+def inverse_kinematics(name: str, chain: SerialChain, lower: FloatArray, upper: FloatArray) -> InverseKinematics:
     """Return the analytic solver that does best on `chain`, or a numerical one where none does well enough.
 
-    Limits and `home` are arrays (dof,) [rad, m]; `name` is the arm's, for the log.
+    Limits are arrays (dof,) [rad, m]; `name` is the arm's, for the log.
     """
-    best: tuple[int, AnalyticIk] | None = None
-    for solver in descriptions(chain, lower, upper):
-        found = self_test(solver, chain, lower, upper).found
-        if best is None or found > best[0]:
-            best = found, solver
-        if found == TRIED:
-            break
+    best = _analytic(chain, lower, upper)
     if best is not None and best[0] >= ENOUGH * TRIED:
         return best[1]
     if best is not None:
@@ -100,4 +91,43 @@ def inverse_kinematics(
             best[0],
             TRIED,
         )
-    return NumericalIk(chain, lower, upper, home)
+    locked = _locked(chain, lower, upper)
+    return NumericalIk(chain, lower, upper) if locked is None else locked
+
+
+def _analytic(chain: SerialChain, lower: FloatArray, upper: FloatArray) -> tuple[int, AnalyticIk] | None:
+    """Return the solver that finds most configurations of `chain`, and how many of `TRIED`; None if there is none."""
+    best: tuple[int, AnalyticIk] | None = None
+    for solver in descriptions(chain, lower, upper):
+        found = self_test(solver, chain, lower, upper).found
+        if best is None or found > best[0]:
+            best = found, solver
+        if found == TRIED:
+            break
+    return best
+
+
+def _locked(chain: SerialChain, lower: FloatArray, upper: FloatArray) -> LockedIk | None:
+    """Return the solver that reaches most poses of a chain of seven joints with one of them locked."""
+    best: tuple[int, LockedIk] | None = None
+    low, high = one_turn(chain, lower, upper)
+    for joint in reversed(range(chain.dof)) if chain.dof == 7 else ():
+        if not _samples(chain, lower, upper, joint, [low[joint] + ANYWHERE * (high[joint] - low[joint])]):
+            continue
+        levels = [_samples(chain, lower, upper, joint, values) for values in halving(low[joint], high[joint])]
+        if not any(levels):
+            continue
+        ik = LockedIk(chain, lower, upper, joint, [level for level in levels if level])
+        solved = self_test(ik, chain, lower, upper).solved
+        if solved >= ENOUGH * TRIED and (best is None or solved > best[0]):
+            best = solved, ik
+        if solved == TRIED:
+            break
+    return None if best is None else best[1]
+
+
+def _samples(chain: SerialChain, lower: FloatArray, upper: FloatArray, joint: int, values: list[float]) -> list[Sample]:
+    """Return those of the `values` of a joint at which the arm that is left has an analytic solver."""
+    others = np.arange(chain.dof) != joint
+    solvers = [(x, _analytic(chain.locked(joint, x), lower[others], upper[others])) for x in values]
+    return [Sample(x, best[1]) for x, best in solvers if best is not None and best[0] >= ENOUGH * TRIED]

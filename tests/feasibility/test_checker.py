@@ -4,6 +4,7 @@ from dataclasses import replace
 from importlib.metadata import distribution
 from importlib.resources import files
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from regrasp_opt.scene.workcell import Clearance
 BUILT_IN = (files("regrasp_opt") / "data" / "workcells" / "nova2-w.toml").read_text("utf-8")
 FOREIGN = Path(str(distribution("example-robot-data").locate_file("cmeel.prefix/share/example-robot-data/robots")))
 UR5 = FOREIGN / "ur_description/urdf/ur5_robot.urdf"
+PANDA = FOREIGN / "panda_description/urdf/panda.urdf"
 SHELF = """
 [[obstacles]]
 type = "box"
@@ -54,6 +56,9 @@ def setting(kind, tmp_path):
     elif kind == "ur5":
         text = BUILT_IN.replace('model = "nova2"', f'model = "{UR5}"\nhome = [1.5, -1.5, 1.0, -1.0, -1.5, 0.0]')
         model, cell = load_object("mug"), cell_from(tmp_path, text.replace("height = 0.0", "height = -0.1"))
+    elif kind == "panda":
+        text = BUILT_IN.replace('model = "nova2"', f'model = "{PANDA}"\nhome = [1.5, 0.0, 0.0, -1.6, 0.0, 1.6, 0.0]')
+        model, cell = load_object("bottle"), cell_from(tmp_path, text)
     else:
         model, cell = load_object("bottle"), load_workcell("nova2-w")
     return model, cell, sample_grasps(model, cell.end_effector, 40, seed=1)
@@ -98,14 +103,16 @@ def test_a_large_batch_is_checked_in_parts(bottle, monkeypatch):
     T, ids = draw(model, cell, 100, 0, len(grasps))
     whole = checker.feasible_pairs(T, ids)
     seen = []
-    branches = checker.branches
-    monkeypatch.setattr(checker, "branches", lambda T, ids: seen.append(len(ids)) or branches(T, ids))
+    flange_poses = checker.flange_poses
+    monkeypatch.setattr(checker, "flange_poses", lambda T, ids: seen.append(len(ids)) or flange_poses(T, ids))
     monkeypatch.setattr("regrasp_opt.feasibility.checker.PAIRS_AT_ONCE", 7)
     np.testing.assert_array_equal(checker.feasible_pairs(T, ids), whole)
     assert max(seen) <= 7 and checker.feasible_pairs(T[:0], ids[:0]).shape == (0,)
 
 
-@pytest.mark.parametrize(("kind", "count"), [("plain", 2000), ("shelf", 700), ("suction", 1000), ("ur5", 250)])
+@pytest.mark.parametrize(
+    ("kind", "count"), [("plain", 2000), ("shelf", 700), ("suction", 1000), ("ur5", 250), ("panda", 150)]
+)
 def test_labels_equal_a_plain_loop(kind, count, tmp_path):
     model, cell, grasps = setting(kind, tmp_path)
     T, ids = draw(model, cell, count, 2, len(grasps))
@@ -114,6 +121,22 @@ def test_labels_equal_a_plain_loop(kind, count, tmp_path):
     expected = np.array([plain.feasible(pose, grasp) for pose, grasp in zip(T, ids, strict=True)])
     assert 0.02 < expected.mean() < 0.98
     np.testing.assert_array_equal(labels, expected)
+
+
+def test_of_a_redundant_arm_only_open_pairs_are_looked_at_further(tmp_path):
+    model, cell, grasps = setting("panda", tmp_path)
+    T, ids = draw(model, cell, 200, 5, len(grasps))
+    checker, asked = FeasibilityChecker(model, cell, grasps), []
+
+    def counted(solve):
+        return lambda T: asked.append(len(T)) or solve(T)
+
+    expected, parts = checker.feasible_pairs(T, ids), [counted(solve) for solve in cell.robot.ik.parts]
+    object.__setattr__(cell.robot, "ik", SimpleNamespace(parts=parts))
+    np.testing.assert_array_equal(checker.feasible_pairs(T, ids), expected)
+    assert asked == sorted(asked, reverse=True)
+    assert len(asked) == len(parts)
+    assert asked[0] - asked[-1] >= 0.9 * expected.sum()
 
 
 def test_a_suction_cup_that_just_clears_the_table_is_feasible():

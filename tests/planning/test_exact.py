@@ -6,10 +6,13 @@ import networkx
 import numpy as np
 import pytest
 import trimesh
+from oracles.cells import write_cell
+from verifying import motion_findings, plan_problems
 
 from regrasp_opt import RegraspPlan, RegraspProblem, Status, solve_sequence
 from regrasp_opt.connectivity import exact_energy, sequence_cost
 from regrasp_opt.errors import ModelError, OptionError
+from regrasp_opt.motion import MotionStatus, plan_motion
 from regrasp_opt.planning import search
 from regrasp_opt.planning.exact import RestingPoses
 from regrasp_opt.planning.tasks import random_task
@@ -50,6 +53,18 @@ def test_a_mesh_without_a_model_is_planned(brick, task, plan, tmp_path):
     assert plan.cost == pytest.approx(float(sequence_cost(chain, search.CostOptions())), abs=1e-12)
     plan.save(tmp_path / "plan.json")
     assert RegraspPlan.load(tmp_path / "plan.json").residuals().hold
+
+
+@pytest.mark.parametrize("arm", ["ur5", "panda", "xarm7"])
+def test_other_arms_plan_and_move(arm, tmp_path):
+    problem = RegraspProblem.load("bottle", write_cell(arm, tmp_path))
+    task = random_task(problem, np.random.default_rng(0), needs_regrasp=True)
+    plan = solve_sequence(problem, task.start, task.goal, "exact", seed=0)
+    assert plan.status is Status.SOLVED and plan.num_regrasps >= 1 and plan.residuals().hold
+    assert not plan_problems(plan, rows=lambda count: range(min(2, count)))
+    motion = plan_motion(plan)
+    assert motion.status is MotionStatus.SOLVED
+    assert not motion_findings(motion, step=0.01, turn=0.1).problems
 
 
 def test_the_same_seed_gives_the_same_plan(brick, task, plan):

@@ -32,7 +32,7 @@ def found(ik, chain, count=300, seed=0):
 @pytest.mark.parametrize("name", FAMILIES)
 def test_every_configuration_of_an_arm_with_exact_axes_is_found(name, caplog):
     chain = chain_of(*FAMILIES[name])
-    ik = inverse_kinematics(name, chain, -LIMIT, LIMIT, np.zeros(6))
+    ik = inverse_kinematics(name, chain, -LIMIT, LIMIT)
     assert isinstance(ik, AnalyticIk)
     assert found(ik, chain) == 1.0
     assert not caplog.records
@@ -42,7 +42,7 @@ def test_every_configuration_of_an_arm_with_exact_axes_is_found(name, caplog):
 def test_axes_may_point_either_way(flipped):
     chain = chain_of(*FAMILIES["ur"])
     chain.axes[list(flipped)] *= -1
-    assert found(inverse_kinematics("flipped", chain, -LIMIT, LIMIT, np.zeros(6)), chain) == 1.0
+    assert found(inverse_kinematics("flipped", chain, -LIMIT, LIMIT), chain) == 1.0
 
 
 def test_three_inner_parallel_axes_after_two_parallel_ones(tmp_path):
@@ -60,7 +60,7 @@ def test_three_inner_parallel_axes_after_two_parallel_ones(tmp_path):
 def test_a_calibrated_arm_is_solved_from_the_arm_next_to_it(name, size, seed, nova2, caplog):
     exact = nova2.chain if name == "nova2" else chain_of(*FAMILIES[name])
     chain = calibrated(exact, size, seed)
-    ik = inverse_kinematics(name, chain, -LIMIT, LIMIT, np.zeros(6))
+    ik = inverse_kinematics(name, chain, -LIMIT, LIMIT)
     assert isinstance(ik, AnalyticIk)
     assert found(ik, chain) >= (0.98 if size <= 1e-4 else 0.95)
     assert not caplog.records
@@ -70,12 +70,12 @@ def test_a_calibrated_arm_is_solved_from_the_arm_next_to_it(name, size, seed, no
 @pytest.mark.parametrize("size", [1e-11, 1e-7, 1e-4])
 def test_one_axis_may_be_off(joint, size, nova2):
     chain = calibrated(nova2.chain, size, seed=joint, joints=[joint])
-    assert found(inverse_kinematics("off", chain, -LIMIT, LIMIT, np.zeros(6)), chain, 100) >= 0.98
+    assert found(inverse_kinematics("off", chain, -LIMIT, LIMIT), chain, 100) >= 0.98
 
 
 def test_polished_branches_are_distinct_and_within_the_limits(nova2):
     chain = calibrated(nova2.chain, 1e-4, seed=1)
-    ik = inverse_kinematics("nova2", chain, nova2.lower, nova2.upper, nova2.home)
+    ik = inverse_kinematics("nova2", chain, nova2.lower, nova2.upper)
     solutions = ik.solve(chain.forward(np.random.default_rng(2).uniform(nova2.lower, nova2.upper, (100, 6))))
     assert (solutions.q >= nova2.lower - 1e-9).all()
     assert (solutions.q <= nova2.upper + 1e-9).all()
@@ -88,7 +88,7 @@ def test_where_no_description_serves_the_numerical_solver_is_taken_and_said_so(c
     chain = chain_of(*FAMILIES["ur"])
     chain.axes[4] = chain.axes[3]  # four parallel axes: infinitely many solutions
     with caplog.at_level(logging.WARNING):
-        ik = inverse_kinematics("four", chain, -LIMIT, LIMIT, np.zeros(6))
+        ik = inverse_kinematics("four", chain, -LIMIT, LIMIT)
     assert isinstance(ik, NumericalIk)
     (record,) = caplog.records
     assert "four: the analytic inverse kinematics for 6R-THREE_INNER_PARALLEL finds" in record.getMessage()
@@ -105,7 +105,7 @@ def test_a_solver_that_loses_branches_fails_its_test(nova2, monkeypatch, caplog)
         return type(solve(self, T[:0]))(q[::2], index[::2])
 
     monkeypatch.setattr(AnalyticIk, "solve", half)
-    assert isinstance(inverse_kinematics("nova2", nova2.chain, nova2.lower, nova2.upper, nova2.home), NumericalIk)
+    assert isinstance(inverse_kinematics("nova2", nova2.chain, nova2.lower, nova2.upper), NumericalIk)
     assert len(caplog.records) == 1
 
 
