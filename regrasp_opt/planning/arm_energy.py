@@ -36,7 +36,7 @@ from regrasp_opt.objects import OBJECT_NAMES, load_object
 from regrasp_opt.planning.model_key import ArmKey, surroundings
 from regrasp_opt.planning.model_store import workcell_arguments
 from regrasp_opt.planning.rules import GraspRules
-from regrasp_opt.robots.analytic import AnalyticIk
+from regrasp_opt.robots.numerical import NumericalIk
 from regrasp_opt.scene import Workcell
 
 TRAINING = TrainingOptions(features="arm", epochs=12, batch_size=2048)
@@ -125,7 +125,7 @@ def train_arm_energy(
         For fewer than 1,000 poses, or no workers.
     """
     if poses is None:
-        poses = POSES if isinstance(workcell.arm.robot.ik, AnalyticIk) else POSES_NUMERICAL
+        poses = POSES_NUMERICAL if isinstance(workcell.arm.robot.ik, NumericalIk) else POSES
     if poses < 1000:
         raise OptionError(f"poses is {poses}; give at least 1000")
     if jobs == 0:
