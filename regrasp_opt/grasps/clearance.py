@@ -2,10 +2,9 @@
 
 The fingers are checked in every opening between almost closed and the approach opening, so that the jaw can
 come in and let go. In most poses that overlap, a box has a point of the surface well inside, which arrays find many
-times sooner than Coal; in others all of the object lies before a side of the box; Coal decides the rest. Given grasps
-are also tested for bodies wholly inside the object, which touch no surface. Those of the sampler cannot have any: a
-finger begins `CONTACT_TOLERANCE` beyond a contact, just outside the surface, and the fingers and the body touch one
-another.
+times sooner than Coal; Coal decides the rest. Given grasps are also tested for bodies wholly inside the object, which
+touch no surface. Those of the sampler cannot have any: a finger begins `CONTACT_TOLERANCE` beyond a contact, just
+outside the surface, and the fingers and the body touch one another.
 """
 
 from __future__ import annotations
@@ -31,11 +30,14 @@ CONTACT_TOLERANCE = 0.001
 BODY_CLEARANCE = 0.002
 """Least distance of a parallel gripper's body to the object [m]; a suction cup's may touch it."""
 
-SCREENS = (0, 32, 128, 512, 2048)
+WIDENINGS = (0.0, 0.0015, 0.003)
+"""How much wider than the contact line a flat pad may close on a hollow or bumpy side [m]."""
+
+SCREENS = (0, 32, 128, 512)
 """Where the parts of the surface points end that are looked for in the boxes, one part after the other."""
 
 SCREEN_DEPTH = 1e-5
-"""How deep in a box a point, or how far off it all points decide [m]: far more than what Coal rounds, which decides."""
+"""How deep in a box a point decides [m]: far more than what Coal rounds."""
 
 SCREENED = 2**16
 """Pairs of a pose and a point that are looked at together."""
@@ -53,7 +55,6 @@ class GripperClearance:
         points = trimesh.sample.sample_surface(mesh, SCREENS[-1], seed=0)[0]
         middle = points.mean(axis=0)
         self._points = np.column_stack([points - middle, np.ones(len(points))]).astype(np.float32)
-        self._hull = ((vertices if given else mesh.convex_hull.vertices) - middle).astype(np.float32)
         self._offset = np.pad(middle[:, None], ((0, 1), (3, 0)))
         self._T_tcp_flange = end_effector.T_tcp_flange
         inner = min(CONTACT_TOLERANCE, end_effector.pre_opening)
@@ -61,21 +62,46 @@ class GripperClearance:
         self._body = end_effector.body
         self._margin = BODY_CLEARANCE if end_effector.kind == "parallel" else 0.0
 
-    def body_free(self, T_object_tcp: FloatArray, *, screen: bool = False) -> BoolArray:
-        """Return in which of the TCP poses (N, 4, 4) the body is clear of the object (N,), or by a `screen` may be."""
-        placed = [(shape, T_object_tcp @ (self._T_tcp_flange @ shape.pose)) for shape in self._body]
-        free = self._screen(placed, len(T_object_tcp))
-        return free if screen else self._decide(free, placed, self._margin)
+    def body_free(self, T_object_tcp: FloatArray) -> BoolArray:
+        """Return in which of the TCP poses (N, 4, 4) the body is clear of the object (N,)."""
+        placed = self._placed_body(T_object_tcp)
+        return self._decide(self._screen(placed, len(T_object_tcp)), placed, self._margin)
 
     def fingers_free(self, T_object_tcp: FloatArray, width: FloatArray) -> BoolArray:
         """Return in which of the grasps (N, 4, 4), of jaw widths (N,) [m], both fingers are clear (N,)."""
-        placed, half = [], len(self._fingers) // 2
-        for index, box in enumerate(self._fingers):
-            outward = (0.5 if index < half else -0.5) * width
-            poses = T_object_tcp @ (self._T_tcp_flange @ box.pose)
-            poses[:, :3, 3] += outward[:, None] * T_object_tcp[:, :3, 1]
-            placed.append((box, poses))
+        placed = self._placed_fingers(T_object_tcp, width)
         return self._decide(self._screen(placed, len(T_object_tcp)), placed, 0.0)
+
+    def fitting(self, T_object_tcp: FloatArray, contact: FloatArray, widest: float) -> FloatArray:
+        """Return the jaw widths (N,) [m], at most `widest`, at which grasps (N, 4, 4) are clear of the object, or NaN.
+
+        They are at least the distances `contact` (N,) of the contacts [m]; the first of the `WIDENINGS` counts.
+        """
+        found = np.full(len(contact), np.nan)
+        left = np.flatnonzero(self.body_free(T_object_tcp))
+        for widening in WIDENINGS:
+            left = left[contact[left] + widening <= widest]
+            free = self.fingers_free(T_object_tcp[left], contact[left] + widening)
+            found[left[free]] = contact[left[free]] + widening
+            left = left[~free]
+        return found
+
+    def may_be_free(self, T_object_tcp: FloatArray, width: FloatArray) -> BoolArray:
+        """Return which of the grasps (N, 4, 4), of jaw widths (N,) [m], are clear as far as a screen can tell (N,)."""
+        placed = self._placed_body(T_object_tcp) + self._placed_fingers(T_object_tcp, width)
+        return self._screen(placed, len(T_object_tcp))
+
+    def _placed_body(self, T_object_tcp: FloatArray) -> list[tuple[Shape, FloatArray]]:
+        return [(shape, T_object_tcp @ (self._T_tcp_flange @ shape.pose)) for shape in self._body]
+
+    def _placed_fingers(self, T_object_tcp: FloatArray, width: FloatArray) -> list[tuple[Shape, FloatArray]]:
+        placed: list[tuple[Shape, FloatArray]] = []
+        for index, box in enumerate(self._fingers):
+            poses = T_object_tcp @ (self._T_tcp_flange @ box.pose)
+            side = 0.5 if index < len(self._fingers) // 2 else -0.5
+            poses[:, :3, 3] += side * width[:, None] * T_object_tcp[:, :3, 1]
+            placed.append((box, poses))
+        return placed
 
     def _screen(self, placed: Sequence[tuple[Shape, FloatArray]], count: int) -> BoolArray:
         """Return in which of `count` poses no box of the shapes, placed in the object frame, holds a point (count,)."""
@@ -94,11 +120,7 @@ class GripperClearance:
         for shape, poses in placed:
             geometry = shape_geometry(shape)
             points = Solid(geometry).shells.points if self._solid else np.zeros((0, 3))
-            left = np.flatnonzero(free)
-            if isinstance(shape, Box) and self._solid is None:
-                half = shape.size / 2 + margin + SCREEN_DEPTH
-                left = left[~_beside(self._hull, half, poses[left] - self._offset)]
-            for index in left:
+            for index in np.flatnonzero(free):
                 rotation, position = poses[index, :3, :3], poses[index, :3, 3]
                 where = coal.Transform3s(rotation, position)
                 hit = coal.collide(self._object, origin, geometry, where, request, coal.CollisionResult())
@@ -118,19 +140,6 @@ def _reaches_in(points: NDArray[np.float32], box: Box, poses: FloatArray) -> Boo
         place = into.reshape(-1, 4).astype(np.float32) @ points.T
         x, y, z = (np.abs(place, out=place) < 1.0).reshape(3, -1, len(points))
         found[start : start + step] = (x & y & z).any(axis=1)
-    return found
-
-
-def _beside(hull: NDArray[np.float32], half: FloatArray, poses: FloatArray) -> BoolArray:
-    """Return in which poses (N, 4, 4) a side of the box of `half` edges (3,) has all points `hull` (P, 3) before it."""
-    found = np.zeros(len(poses), dtype=bool)
-    step = max(SCREENED // len(hull), 1)
-    for start in range(0, len(poses), step):
-        rotation, position = poses[start : start + step, :3, :3], poses[start : start + step, :3, 3]
-        along = (rotation.transpose(0, 2, 1).reshape(-1, 3).astype(np.float32) @ hull.T).reshape(-1, 3, len(hull))
-        middle = np.einsum("ni,nij->nj", position, rotation)
-        apart = (along.min(axis=2) > middle + half) | (along.max(axis=2) < middle - half)
-        found[start : start + step] = apart.any(axis=1)
     return found
 
 

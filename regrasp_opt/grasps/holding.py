@@ -13,8 +13,8 @@ import numpy as np
 
 from regrasp_opt.conventions import BoolArray, FloatArray
 from regrasp_opt.end_effectors import EndEffector
-from regrasp_opt.grasps.antipodal import FRICTION, WIDENINGS, contact_depths
-from regrasp_opt.grasps.clearance import CONTACT_TOLERANCE, gripper_free
+from regrasp_opt.grasps.antipodal import FRICTION, contact_depths
+from regrasp_opt.grasps.clearance import CONTACT_TOLERANCE, WIDENINGS, gripper_free
 from regrasp_opt.grasps.grasp_set import GraspSet
 from regrasp_opt.grasps.suction import NO_SEAL, mouth_grades
 from regrasp_opt.grasps.surface import TriangleSurface, cast_rays, make_surface

@@ -11,7 +11,7 @@ import numpy as np
 
 from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.end_effectors import EndEffector
-from regrasp_opt.grasps.antipodal import FRICTION, MIN_WIDTH, WIDENINGS, contact_depths, contact_pairs
+from regrasp_opt.grasps.antipodal import FRICTION, MIN_WIDTH, contact_depths, contact_pairs
 from regrasp_opt.grasps.candidates import frames_about
 from regrasp_opt.grasps.clearance import GripperClearance
 from regrasp_opt.grasps.grasp_set import GraspSet
@@ -46,10 +46,11 @@ class GraspProjector:
         """Return at most `count` tool poses (K, 4, 4) anywhere on the surface, and widths (K,); not settled yet."""
         if self._effector.kind == "suction":
             points, face = sample_points(self._surface, count, rng)
-            return frames_about(points, -self._surface.normals[face], 1, rng), np.zeros(count)
+            return frames_about(points, -self._surface.normals[face], 1, rng.normal(size=(count, 3))), np.zeros(count)
         middle, closing, width = contact_pairs(self._surface, self._effector, count, rng)
         chosen = rng.permutation(len(middle))[:count]
-        return frames_about(middle[chosen], closing[chosen], 1, rng, closing=True), width[chosen]
+        toward = rng.normal(size=(len(chosen), 3))
+        return frames_about(middle[chosen], closing[chosen], 1, toward, closing=True), width[chosen]
 
     def worst_grade(self, grasps: GraspSet) -> int:
         """Return the worst grade of seal among suction `grasps`; 0 for parallel ones."""
@@ -82,16 +83,12 @@ class GraspProjector:
         left = np.arange(len(T))
         for depth in contact_depths(self._effector):
             centered, contact, index = _between_contacts(self._surface, T[left], depth, widest)
-            free = self._clearance.body_free(centered)
-            centered, contact, index = centered[free], contact[free], left[index[free]]
-            for widening in WIDENINGS:
-                fits = contact + widening <= widest
-                fits[fits] = self._clearance.fingers_free(centered[fits], contact[fits] + widening)
-                poses.append(centered[fits])
-                widths.append(contact[fits] + widening)
-                sources.append(index[fits])
-                centered, contact, index = centered[~fits], contact[~fits], index[~fits]
-            left = np.setdiff1d(left, np.concatenate(sources))
+            width = self._clearance.fitting(centered, contact, widest)
+            fits = np.isfinite(width)
+            poses.append(centered[fits])
+            widths.append(width[fits])
+            sources.append(left[index[fits]])
+            left = np.setdiff1d(left, sources[-1])
         return np.concatenate(poses), np.concatenate(widths), np.concatenate(sources)
 
     def _sealed(self, T: FloatArray, grade: int) -> tuple[FloatArray, FloatArray, IntArray]:

@@ -1,28 +1,46 @@
-"""Sampling a grasp set: candidates in rounds until there is a choice, then those that lie farthest apart."""
+"""Sampling a grasp set: candidates in rounds until there is a choice, then those that lie farthest apart.
+
+A grasp is worth something where the table leaves room for the gripper, so candidates without room in every stable
+placement are taken only if there are not enough others: such a grasp needs the table's edge.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, pose_distance
 from regrasp_opt.end_effectors import EndEffector
 from regrasp_opt.errors import GraspError, OptionError
 from regrasp_opt.grasps.antipodal import antipodal_candidates
-from regrasp_opt.grasps.candidates import GraspCandidates
+from regrasp_opt.grasps.candidates import NONE, GraspCandidates
 from regrasp_opt.grasps.clearance import GripperClearance
 from regrasp_opt.grasps.grasp_set import GraspSet
 from regrasp_opt.grasps.suction import suction_candidates
 from regrasp_opt.grasps.surface import make_surface
+from regrasp_opt.grasps.table import TableRoom
 from regrasp_opt.objects import ObjectModel
+from regrasp_opt.scene import Clearance
 
-ROUNDS = 10
-"""Most rounds of sampling."""
-
-POINTS = 300
+POINTS = 100
 """Surface points of one round."""
 
-CHOICE = 4
-"""Rounds stop when there are this many candidates for each grasp asked for."""
+ROUNDS = 30
+"""Most rounds of sampling."""
+
+FIRST_ROUNDS = 10
+"""Rounds after which a placement that still has few candidates is left as it is, and an object that has none."""
+
+GRADED_ROUNDS = 3
+"""Rounds after which candidates of all grades are enough."""
+
+CHOICE = {"parallel": 8, "suction": 4}
+"""Rounds stop when there are this many candidates for each grasp asked for; of cups, more of them fit."""
+
+FAIR = 0.5
+"""Share of a set that goes to the placements in equal parts, where they have as many candidates."""
 
 SAME_POSITION, SAME_ANGLE = 1e-3, 0.02
 """Grasps closer than this in both [m] and [rad] count as the same."""
@@ -38,8 +56,12 @@ def sample_grasps(
     *,
     seed: int = 0,
     exclude: GraspSet | None = None,
+    clearance: float = Clearance().gripper,
 ) -> GraspSet:
     """Return up to `count` grasps of the object, spread over its surface and over approach directions.
+
+    Grasps at which the gripper stays above the table in some stable placement come first, and each placement gets its
+    share of them.
 
     A grasp and its mirror image (half a turn about the approach) are different grasps to an arm, and both may
     occur. The same arguments give the same set. Fewer than `count` come back where sampling finds no more.
@@ -56,6 +78,8 @@ def sample_grasps(
         Seed of the sampling.
     exclude : GraspSet, optional
         Grasps that must not come again; the result is disjoint from them.
+    clearance : float
+        Least distance of the gripper to the table [m], as in the workcell.
 
     Returns
     -------
@@ -72,39 +96,95 @@ def sample_grasps(
     """
     if count < 1:
         raise OptionError(f"count is {count}; ask for at least one grasp")
-    pool = _candidates(model, end_effector, count, np.random.default_rng(seed), exclude)
-    if len(pool.width) == 0:
+    rng, room = np.random.default_rng(seed), TableRoom.of(model, end_effector, clearance)
+    surface, gripper = make_surface(model.mesh), GripperClearance(model.vertices, model.faces, end_effector)
+    candidates = antipodal_candidates if end_effector.kind == "parallel" else suction_candidates
+    widest = end_effector.max_opening - 2 * end_effector.pre_opening
+    scale = DIRECTION_WEIGHT * float(np.ptp(model.vertices, axis=0).mean())
+
+    def draw(wanted: TableRoom | None) -> GraspCandidates:
+        drawn = candidates(surface, end_effector, gripper, wanted, POINTS, rng)
+        return drawn.where(_unseen(drawn.T_object_tcp, exclude))
+
+    found = NONE
+    for wanted in (room, None) if model.placements else (None,):
+        if len(found.width) < count:
+            pool = _pool(draw, wanted, CHOICE[end_effector.kind] * count)
+            usable = np.zeros((len(pool.width), 0), dtype=bool) if wanted is None else wanted.free(*pool[:2])
+            found = _spread(pool, found, usable, count, scale, lambda T, width: gripper.fitting(T, width, widest))
+    if len(found.width) == 0:
         raise GraspError(
             f"no grasp of end-effector '{end_effector.name}' fits object '{model.name}'; "
             "use a wider gripper, a smaller cup or check the object's scale"
         )
-    T, width = pool.T_object_tcp, pool.width
-    scale = DIRECTION_WEIGHT * float(np.ptp(model.vertices, axis=0).mean())
-    chosen = _farthest_points(np.hstack([T[:, :3, 3], scale * T[:, :3, 1], scale * T[:, :3, 2]]), count)
-    return GraspSet(T[chosen], width[chosen], end_effector.kind)
+    return GraspSet(found.T_object_tcp, found.width, end_effector.kind)
 
 
-def _candidates(
-    model: ObjectModel,
-    end_effector: EndEffector,
-    count: int,
-    rng: np.random.Generator,
-    exclude: GraspSet | None,
-) -> GraspCandidates:
-    """Return the candidates of the best grades that together are enough for `count`, else of all grades."""
-    surface = make_surface(model.mesh)
-    clearance = GripperClearance(model.vertices, model.faces, end_effector)
-    draw = antipodal_candidates if end_effector.kind == "parallel" else suction_candidates
-    rounds: list[GraspCandidates] = []
-    while len(rounds) < ROUNDS and sum(len(drawn.width) for drawn in rounds) < CHOICE * count:
-        drawn = draw(surface, end_effector, clearance, POINTS, rng)
-        rounds.append(drawn.where(_unseen(drawn.T_object_tcp, exclude)))
-    pool = GraspCandidates(*(np.concatenate(parts) for parts in zip(*rounds, strict=True)))
+def _pool(draw: Callable[[TableRoom | None], GraspCandidates], room: TableRoom | None, enough: int) -> GraspCandidates:
+    """Return the candidates of the best grades that together are `enough`, else of all grades."""
+    pool = NONE
+    for number in range(ROUNDS):
+        wanted = room
+        if number >= FIRST_ROUNDS and len(pool.width) == 0:
+            break
+        if len(pool.width) >= enough and (number >= GRADED_ROUNDS or (pool.grade == 0).sum() >= enough):
+            if room is None or number >= FIRST_ROUNDS:
+                break
+            few = room.free(*pool[:2]).sum(axis=0) < FAIR * enough / len(room.up)
+            if not few.any():
+                break
+            wanted = room.among(few)
+        pool = pool.extended(draw(wanted))
     for grade in np.unique(pool.grade):
         good = pool.grade <= grade
-        if good.sum() >= CHOICE * count:
+        if good.sum() >= enough:
             return pool.where(good)
     return pool
+
+
+def _spread(
+    pool: GraspCandidates,
+    found: GraspCandidates,
+    usable: BoolArray,
+    count: int,
+    scale: float,
+    fitting: Callable[[FloatArray, FloatArray], FloatArray],
+) -> GraspCandidates:
+    """Return `found` with some of `pool` (N) up to `count`: each next one lies farthest from all before it and fits.
+
+    Those `usable` (N, S) in a placement come first, in equal parts up to a share of `FAIR`, the rarest placement first.
+    It stops early when only repetitions are left. The exact test `fitting` is made of no more than it takes.
+    """
+    features = _features(pool.T_object_tcp, scale)
+    distance = cdist(features, _features(found.T_object_tcp, scale)).min(axis=1, initial=np.inf)
+    share = int(FAIR * count / max(usable.shape[1], 1))
+    steps = [(usable[:, k], share) for k in np.argsort(usable.sum(axis=0))]
+    steps.append((np.ones(len(features), dtype=bool), count - len(found.width)))
+    left, width = np.ones(len(features), dtype=bool), pool.width.copy()
+    chosen = np.zeros(0, dtype=np.int64)
+    for among, number in steps:
+        while len(rows := _farthest(features, distance, left & among, number - int(among[chosen].sum()))):
+            left[rows] = False
+            width[rows] = fitting(pool.T_object_tcp[rows], pool.width[rows])
+            rows = rows[np.isfinite(width[rows])]
+            chosen = np.concatenate([chosen, rows])
+            distance = np.minimum(distance, cdist(features, features[rows]).min(axis=1, initial=np.inf))
+    return found.extended(GraspCandidates(pool.T_object_tcp[chosen], width[chosen], pool.grade[chosen]))
+
+
+def _features(T: FloatArray, scale: float) -> FloatArray:
+    return np.hstack([T[:, :3, 3], scale * T[:, :3, 1], scale * T[:, :3, 2]])
+
+
+def _farthest(features: FloatArray, distance: FloatArray, among: BoolArray, count: int) -> IntArray:
+    """Return up to `count` rows of `features` (N, F) far from each other and, by `distance` (N,), from those before."""
+    rows = np.flatnonzero(among)
+    features, distance = features[rows], distance[rows]
+    chosen: list[int] = []
+    while len(chosen) < count and distance.max(initial=0.0) > SAME_POSITION:
+        chosen.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(features - features[chosen[-1]], axis=1))
+    return rows[chosen]
 
 
 def _unseen(T: FloatArray, exclude: GraspSet | None) -> BoolArray:
@@ -114,16 +194,3 @@ def _unseen(T: FloatArray, exclude: GraspSet | None) -> BoolArray:
         distance, angle = pose_distance(T, other)
         seen |= (distance < SAME_POSITION) & (angle < SAME_ANGLE)
     return ~seen
-
-
-def _farthest_points(features: FloatArray, count: int) -> IntArray:
-    """Return up to `count` rows that lie far apart: each next one is farthest from all before it.
-
-    It starts at the row nearest to the mean, and stops early when only repetitions are left.
-    """
-    start = int(np.argmin(np.linalg.norm(features - features.mean(axis=0), axis=1)))
-    chosen, distance = [start], np.linalg.norm(features - features[start], axis=1)
-    while len(chosen) < count and distance.max() > SAME_POSITION:
-        chosen.append(int(np.argmax(distance)))
-        distance = np.minimum(distance, np.linalg.norm(features - features[chosen[-1]], axis=1))
-    return np.array(chosen, dtype=np.int64)

@@ -17,6 +17,7 @@ from regrasp_opt.end_effectors import EndEffector
 from regrasp_opt.grasps.candidates import GraspCandidates, frames_about
 from regrasp_opt.grasps.clearance import GripperClearance
 from regrasp_opt.grasps.surface import CREASE_ANGLE, TriangleSurface, cast_rays, sample_points, tangents
+from regrasp_opt.grasps.table import TableRoom
 
 YAWS = 8
 """Rotations of the cup about its approach at each spot."""
@@ -53,16 +54,24 @@ def suction_candidates(
     surface: TriangleSurface,
     end_effector: EndEffector,
     clearance: GripperClearance,
+    room: TableRoom | None,
     points: int,
     rng: np.random.Generator,
 ) -> GraspCandidates:
-    """Return sealed, collision-free grasps at up to `points` random spots, each with `YAWS` rotations."""
+    """Return sealed grasps at up to `points` random spots, each with `YAWS` rotations.
+
+    Those that a screen finds to overlap the object are left out, and given the `room` above a table, those without room
+    in any placement.
+    """
     centers, face = sample_points(surface, points, rng)
     approach, grade = seal_grades(surface, centers, -surface.normals[face], end_effector.cup_radius)
     sealed = grade < NO_SEAL
-    frames = frames_about(centers[sealed], approach[sealed], YAWS, rng)
-    free = clearance.body_free(frames)
-    return GraspCandidates(frames[free], np.zeros(int(free.sum())), np.repeat(grade[sealed], YAWS)[free])
+    frames = frames_about(centers[sealed], approach[sealed], YAWS, rng.normal(size=(int(sealed.sum()), 3)))
+    grade, width = np.repeat(grade[sealed], YAWS), np.zeros(len(frames))
+    kept = clearance.may_be_free(frames, width)
+    if room is not None:
+        kept &= room.free(frames, width).any(axis=1)
+    return GraspCandidates(frames, width, grade).where(kept)
 
 
 def seal_grades(

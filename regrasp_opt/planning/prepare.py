@@ -96,7 +96,7 @@ def prepare(
     tell = progress or (lambda *_: None)
     began = [time.perf_counter()]
     tell("sampling grasps", 0, 1)
-    grasps = sample_grasps(model, workcell.arm.end_effector, num_grasps, seed=seed)
+    grasps = sample_grasps(model, workcell.end_effector, num_grasps, seed=seed, clearance=workcell.clearance.gripper)
     began.append(time.perf_counter())
     lift = translation(0.0, 0.0, workcell.table.height)
     placements = np.array([lift @ p.pose for p in model.placements])

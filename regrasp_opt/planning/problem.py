@@ -123,7 +123,7 @@ class RegraspProblem(ProblemData):
         if grasps is None and folder is not None:
             grasps = load_prepared_grasps(folder)
         if grasps is None:
-            grasps = sample_grasps(body, workcell.arm.end_effector, DEFAULT_GRASPS)
+            grasps = sample_grasps(body, workcell.end_effector, DEFAULT_GRASPS, clearance=workcell.clearance.gripper)
         left_out: dict[int, str] = {}
         if tested:
             grasps, left_out = _usable(grasps, body, workcell)

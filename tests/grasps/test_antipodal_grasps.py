@@ -12,7 +12,8 @@ from regrasp_opt.end_effectors import load_end_effector
 from regrasp_opt.errors import GraspError, OptionError
 from regrasp_opt.geometry.shapes import Box
 from regrasp_opt.grasps import BODY_CLEARANCE, CONTACT_TOLERANCE, GraspSet, sample_grasps
-from regrasp_opt.grasps.antipodal import FRICTION, WIDENINGS, contact_depths
+from regrasp_opt.grasps.antipodal import FRICTION, contact_depths
+from regrasp_opt.grasps.clearance import WIDENINGS
 from regrasp_opt.grasps.surface import cast_rays, make_surface, sample_points, tangents
 from regrasp_opt.objects import ObjectModel, load_object
 

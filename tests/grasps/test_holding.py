@@ -66,7 +66,7 @@ def test_grasps_hold_in_single_precision_and_to_a_tenth_of_a_millimetre(tool: st
 def test_what_settles_holds(name: str, tool: str) -> None:
     model, effector, rng = load_object(name), load_end_effector(tool), np.random.default_rng(2)
     projector = GraspProjector(model, effector)
-    T, _ = projector.anywhere(60, rng)
+    T, _ = projector.anywhere(100, rng)
     T[:, :3, 3] += rng.normal(scale=0.005, size=(len(T), 3))
     settled, source = projector.settle(T, 2)
     assert len(settled) == len(source) >= 5
@@ -75,9 +75,9 @@ def test_what_settles_holds(name: str, tool: str) -> None:
 
 @pytest.mark.parametrize("tool", ["w", "r140", "r85"])
 def test_a_set_that_was_shifted_back_holds_nothing(tool: str) -> None:
-    model, grasps = sampled("bottle", tool)
-    back = GraspSet(grasps.T_object_tcp @ moved(z=-0.103), grasps.width, "parallel")
-    assert set(hold_failures(back, model, load_end_effector(tool))) <= {Failure.NOTHING_HELD, Failure.NOT_REACHED}
+    (model, grasps), effector = sampled("bottle", tool), load_end_effector(tool)
+    back = GraspSet(grasps.T_object_tcp @ moved(z=-effector.tcp_offset), grasps.width, "parallel")
+    assert set(hold_failures(back, model, effector)) <= {Failure.NOTHING_HELD, Failure.NOT_REACHED}
 
 
 @pytest.mark.parametrize(

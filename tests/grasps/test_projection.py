@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from regrasp_opt.end_effectors import load_end_effector
 from regrasp_opt.grasps import GraspSet, sample_grasps
-from regrasp_opt.grasps.antipodal import WIDENINGS
+from regrasp_opt.grasps.clearance import WIDENINGS
 from regrasp_opt.grasps.projection import SHIFT, GraspProjector, _central_pair
 from regrasp_opt.grasps.suction import NO_SEAL
 from regrasp_opt.objects import ObjectModel

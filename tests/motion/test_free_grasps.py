@@ -11,7 +11,8 @@ from regrasp_opt import RegraspPlan, RegraspProblem, Status, solve_sequence
 from regrasp_opt.energy.export import grasp_function
 from regrasp_opt.errors import OptionError
 from regrasp_opt.grasps import gripper_free
-from regrasp_opt.grasps.antipodal import FRICTION, WIDENINGS, contact_depths
+from regrasp_opt.grasps.antipodal import FRICTION, contact_depths
+from regrasp_opt.grasps.clearance import WIDENINGS
 from regrasp_opt.grasps.projection import GraspProjector
 from regrasp_opt.grasps.suction import NO_SEAL
 from regrasp_opt.motion import FreeGraspOptions, solve_with_free_grasps

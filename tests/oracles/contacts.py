@@ -9,8 +9,8 @@ ANGLE = np.arctan(FRICTION) + np.deg2rad(1.0)
 """Largest angle between the closing direction and the surface at a contact [rad]."""
 INSIDE, OUTSIDE = 2.1e-3, 1.1e-3
 """How far beyond the pad's face a contact may lie, or before it [m]: soft pads close on bumps and hollows."""
-RAYS = 15
-"""Rays along each edge of a pad."""
+RAYS, FINE = 15, 401
+"""Rays along each edge of a pad, and along its middle line: thin objects meet no more than a fingertip."""
 SEAL_DEPTH, SEAL_ANGLE = 0.5, np.deg2rad(55.0)
 """How far from the cup's rim plane the surface may be, in radii, and how it may lean: the softest cup."""
 
@@ -32,7 +32,9 @@ def _jaw(tool, solid, T, width):
 def _touches(solid, T, pad, sign, width):
     """Return whether the surface meets a pad, (low, high) in x and z of the TCP frame, at an opening of `width` [m]."""
     x, z = (np.append(np.linspace(*ends, RAYS), np.clip(0.0, *ends)) for ends in pad.T)
-    spots = np.stack(np.meshgrid(x, [0.0], z, indexing="ij"), axis=-1).reshape(-1, 3)
+    middle = np.linspace(*pad[:, 1], FINE)
+    grids = [np.meshgrid(*lines, indexing="ij") for lines in ((x, [0.0], z), ([0.0], [0.0], middle))]
+    spots = np.concatenate([np.stack(grid, axis=-1).reshape(-1, 3) for grid in grids])
     direction = sign * T[:3, 1]
     _, y, triangle = solid.hits(spots @ T[:3, :3].T + T[:3, 3], direction)
     facing = solid.normals[triangle] @ direction >= np.cos(ANGLE)

@@ -144,7 +144,7 @@ def test_prepare_refuses_options_outside_their_range(options, tmp_path):
 
 def test_prepare_refuses_an_object_that_no_grasp_fits(tmp_path):
     with pytest.raises(GraspError, match="fits object 'bottle'"):
-        prepare(load_object("bottle", scale=5.0), load_workcell("nova2-w"), out=tmp_path / "model", **SMALL)
+        prepare(load_object("bottle", scale=8.0), load_workcell("nova2-w"), out=tmp_path / "model", **SMALL)
     assert not list(tmp_path.iterdir())
 
 
