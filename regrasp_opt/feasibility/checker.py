@@ -8,17 +8,18 @@ reach (vectorised), inverse kinematics, then Coal on each branch until one is fr
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import coal
 import numpy as np
 
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, invert
+from regrasp_opt.end_effectors import EndEffector
 from regrasp_opt.errors import GraspError
 from regrasp_opt.feasibility.scene import CollisionScene
 from regrasp_opt.feasibility.standing import standing_problem
-from regrasp_opt.geometry.shapes import surface_points
+from regrasp_opt.geometry.shapes import Shape, surface_points
 from regrasp_opt.geometry.solids import Solid, nested
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel
@@ -53,10 +54,22 @@ class _Still:
 
     def __init__(self, world: CollisionWorld, index: int) -> None:
         body = world.bodies[index]
-        self.solid, self.pose = Solid(body.geometry), body.pose
+        self.solid, self.pose = world.solids[index], body.pose
         self.item = coal.CollisionObject(body.geometry, coal.Transform3s(body.pose[:3, :3], body.pose[:3, 3]))
         link = f"the robot's link '{body.label}'" if index in world.surroundings else "the robot's base"
         self.label = f"the obstacle '{body.label}'" if index in world.obstacles else link
+
+
+def tool_points(effector: EndEffector, width: FloatArray, points_of: Callable[[Shape], FloatArray]) -> FloatArray:
+    """Return points (G, P, 3) of palm and swept fingers at jaw widths (G,), in the flange frame.
+
+    `points_of` returns those of one body; fingers move along y by half the width, those of the +y side come first.
+    """
+    fingers = effector.finger_boxes(0.0, effector.pre_opening)
+    parts = [np.repeat(points_of(shape)[None], len(width), axis=0) for shape in (*effector.body, *fingers)]
+    for k, part in enumerate(parts[len(effector.body) :]):
+        part[:, :, 1] += (0.5 if 2 * k < len(fingers) else -0.5) * width[:, None]
+    return np.concatenate(parts, axis=1)
 
 
 class FeasibilityChecker:
@@ -85,17 +98,10 @@ class FeasibilityChecker:
         self.world = world = CollisionWorld(workcell, model)
         self.scene = CollisionScene(world, grasps)
         effector = workcell.arm.end_effector
-        self._object = None if model is None else _Object(model.vertices, Solid(world.bodies[world.object].geometry))
+        self._object = None if model is None else _Object(model.vertices, model.solid)
         self._still = [_Still(world, i) for _, i, _ in world.pairs(ContactPhase.REST)]
         self._T_object_flange = grasps.T_object_tcp @ effector.T_tcp_flange
-        self._corners = np.stack(
-            [
-                np.concatenate(
-                    [surface_points(s) for s in (*effector.body, *effector.finger_boxes(w, effector.pre_opening))]
-                )
-                for w in grasps.width.tolist()
-            ]
-        )  # (G, P, 3) flange frame
+        self._corners = tool_points(effector, grasps.width, surface_points)
 
     def feasible(self, T: FloatArray, grasp_ids: IntArray | None = None) -> BoolArray:
         """Return which grasps are feasible at object pose `T` (4, 4) T_world_object.

@@ -7,7 +7,6 @@ import numpy as np
 
 from regrasp_opt.conventions import BoolArray, FloatArray
 from regrasp_opt.feasibility.tabletop import wrist_bodies
-from regrasp_opt.geometry.shapes import mesh_geometry
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.scene import Workcell
@@ -19,7 +18,7 @@ def wrist_in_object(workcell: Workcell, body: ObjectModel, grasps: GraspSet) -> 
     These bodies stand still in the flange's frame, or are round about the last joint's axis, so that neither the
     object's pose nor the arm's configuration matters. The sampler keeps palm and fingers clear by itself.
     """
-    mesh = coal.CollisionObject(mesh_geometry(body.vertices, body.faces))
+    mesh = coal.CollisionObject(body.solid.geometry)
     request, found = coal.CollisionRequest(), np.zeros(len(grasps), dtype=bool)
     request.security_margin = workcell.clearance.arm
     T_object_flange = grasps.T_object_tcp @ workcell.arm.end_effector.T_tcp_flange

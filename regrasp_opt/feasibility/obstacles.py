@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, invert
-from regrasp_opt.feasibility.checker import FeasibilityChecker
+from regrasp_opt.feasibility.checker import FeasibilityChecker, tool_points
 from regrasp_opt.feasibility.tabletop import wrist_bodies
 from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh, Shape, surface_points
 
@@ -49,13 +49,10 @@ class ObstacleRule:
         self._checker, cell = checker, checker.workcell
         self._obstacles = [_around(shape) for shape in cell.obstacles]
         effector, grasps = cell.arm.end_effector, checker.grasps
-        fixed = [_grid(shape) for shape in effector.body]
-        fixed += [_axis(geometry, T) for geometry, T in wrist_bodies(cell.arm.robot)]
-        fingers = [effector.finger_boxes(width, effector.pre_opening) for width in grasps.width.tolist()]
-        self._points = np.stack([np.concatenate([*fixed, *map(_grid, boxes)]) for boxes in fingers])  # (G, P, 3)
-        cores = [[_core(shape) for shape in (*effector.body, *boxes)] for boxes in fingers]
-        self._T_core_flange = np.array([[invert(core.pose) for core in each] for each in cores])  # (G, K, 4, 4)
-        self._core = np.array([core.size for core in cores[0]]) / 2  # (K, 3)
+        wrist = np.concatenate([np.zeros((0, 3)), *(_axis(*body) for body in wrist_bodies(cell.arm.robot))])
+        tool = tool_points(effector, grasps.width, _grid)
+        self._points = np.concatenate([tool, np.repeat(wrist[None], len(grasps), axis=0)], axis=1)  # (G, P, 3)
+        self._jaws = grasps.width
         self._middle = (self._points.min(axis=1) + self._points.max(axis=1)) / 2
         self._radius = np.linalg.norm(self._points - self._middle[:, None], axis=2).max(axis=1)
 
@@ -94,9 +91,11 @@ class ObstacleRule:
     def _holds(self, points: FloatArray, flange: FloatArray, grasp_ids: IntArray) -> BoolArray:
         """Return which tools (M,) at `flange` (M, 4, 4) have one of the `points` (P, 3), in the world, in a part."""
         found = np.zeros(len(flange), dtype=bool)
-        for m, (T, g) in enumerate(zip(flange, grasp_ids, strict=True)):
-            local = _moved(self._T_core_flange[g] @ invert(T), points)  # (K, P, 3)
-            found[m] = (np.abs(local) < self._core[:, None]).all(axis=2).any()
+        effector = self._checker.workcell.arm.end_effector
+        for m, (T, width) in enumerate(zip(flange, self._jaws[grasp_ids].tolist(), strict=True)):
+            local = _moved(invert(T), points)
+            bodies = (*effector.body, *effector.finger_boxes(width, effector.pre_opening))
+            found[m] = any(_inside(body, _moved(invert(body.pose), local)).any() for body in bodies)
         return found
 
 
@@ -111,14 +110,6 @@ def _around(shape: Shape) -> _Around:
     return _Around(shape, invert(shape.pose), np.array([corners.min(axis=0), corners.max(axis=0)]), points)
 
 
-def _core(shape: Shape) -> Box:
-    """Return a box within a body of the tool: the body itself, or the largest square prism in a cylinder."""
-    if isinstance(shape, Box):
-        return shape
-    side = shape.radius * np.sqrt(2) if isinstance(shape, Cylinder) else 0.0
-    return Box(shape.name, np.array([side, side, shape.length if isinstance(shape, Cylinder) else 0.0]), shape.pose)
-
-
 def _moved(T: FloatArray, points: FloatArray) -> FloatArray:
     """Return `points` (..., P, 3) moved by `T` (..., 4, 4)."""
     moved: FloatArray = points @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
@@ -131,8 +122,10 @@ def _distance(points: FloatArray, box: FloatArray) -> FloatArray:
     return distance
 
 
-def _inside(shape: Box | Cylinder, points: FloatArray) -> BoolArray:
-    """Return which `points` (..., 3), in the frame of `shape`, lie in it."""
+def _inside(shape: Shape, points: FloatArray) -> BoolArray:
+    """Return which `points` (..., 3), in the frame of `shape`, lie in it; of a mesh that is not known."""
+    if isinstance(shape, Mesh):
+        return np.zeros(points.shape[:-1], dtype=bool)
     if isinstance(shape, Box):
         return np.asarray((np.abs(points) < shape.size / 2).all(axis=-1))
     return (np.abs(points[..., 2]) < shape.length / 2) & (np.hypot(points[..., 0], points[..., 1]) < shape.radius)

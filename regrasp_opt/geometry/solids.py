@@ -155,6 +155,12 @@ def winding_numbers(triangles: FloatArray, points: FloatArray) -> FloatArray:
 class Solid:
     """A Coal geometry, in its own frame, that knows its inside.
 
+    Parameters
+    ----------
+    geometry : coal.CollisionGeometry
+    faces : (F, 3), optional
+        The triangles of a mesh, where they are at hand: Coal gives them one by one.
+
     Attributes
     ----------
     geometry : coal.CollisionGeometry
@@ -164,8 +170,9 @@ class Solid:
         Low and high corner of the box around it [m].
     """
 
-    def __init__(self, geometry: Any) -> None:
+    def __init__(self, geometry: Any, faces: IntArray | None = None) -> None:
         geometry.computeLocalAABB()
+        self._faces = faces
         self.geometry, self.radius = geometry, float(geometry.aabb_radius)
         self.box = np.array([geometry.aabb_local.min_, geometry.aabb_local.max_])
         self.is_mesh = isinstance(geometry, coal.BVHModelBase)
@@ -174,7 +181,8 @@ class Solid:
     def shells(self) -> Shells:
         """What is known of the inside; other bodies than meshes have no triangles: Coal knows theirs."""
         if self.is_mesh:
-            return find_shells(np.array(self.geometry.vertices()), mesh_faces(self.geometry))
+            faces = mesh_faces(self.geometry) if self._faces is None else self._faces
+            return find_shells(np.array(self.geometry.vertices()), faces)
         middle = self.geometry.points() if isinstance(self.geometry, coal.ConvexBase) else [self.geometry.aabb_center]
         return Shells(np.mean(middle, axis=0, keepdims=True), np.zeros((0, 3, 3)), 0)
 
@@ -248,11 +256,15 @@ class Containment:
     geometry : pin.GeometryModel
     pairs : sequence of (int, int)
         Numbers of the bodies that are tested against each other.
+    solids : list of Solid
+        The bodies.
     """
 
-    def __init__(self, model: Any, data: Any, geometry: Any, pairs: Sequence[tuple[int, int]]) -> None:
+    def __init__(
+        self, model: Any, data: Any, geometry: Any, pairs: Sequence[tuple[int, int]], solids: list[Solid]
+    ) -> None:
         self._model, self._data, self._geometry = model, data, geometry
-        self.solids = [Solid(item.geometry) for item in geometry.geometryObjects]
+        self.solids = solids
         self._screen = pin.GeometryModel()
         self._copies: dict[int, list[tuple[int, Any]]] = defaultdict(list)
         self._tests: list[tuple[int, int, int]] = []  # pair, the body that may be inside, the body around it

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -14,6 +15,8 @@ from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.errors import OptionError, UnknownNameError
 from regrasp_opt.files import content_hash
 from regrasp_opt.geometry.mesh_files import MESH_SUFFIXES
+from regrasp_opt.geometry.shapes import mesh_geometry
+from regrasp_opt.geometry.solids import Solid
 from regrasp_opt.objects.builtin import OBJECT_NAMES, build
 from regrasp_opt.objects.mesh import LARGEST, SMALLEST, read_mesh
 from regrasp_opt.objects.placements import Placement, stable_placements
@@ -64,6 +67,15 @@ class ObjectModel:
     def center_of_mass(self) -> FloatArray:
         """Centre of mass (3,) in the object frame [m]."""
         return np.array(self.mesh.center_mass, dtype=np.float64)
+
+    @cached_property
+    def solid(self) -> Solid:
+        """The mesh as Coal tests it, with its inside."""
+        return Solid(mesh_geometry(self.vertices, self.faces), self.faces)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle the fields alone: Coal's part of the rest cannot travel."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @cached_property
     def _hull(self) -> Hull:

@@ -13,6 +13,7 @@ from regrasp_opt.errors import OptionError, RegraspError
 from regrasp_opt.files import content_hash
 from regrasp_opt.planning.plan import RegraspPlan
 from regrasp_opt.planning.problem import RegraspProblem
+from regrasp_opt.planning.recipes import EXACT
 from regrasp_opt.planning.search import solve_sequence
 from regrasp_opt.workers import workers
 
@@ -71,9 +72,11 @@ def solve_many(
             results.append(_solved(problem, task, refiner, options))
             tell(len(results), len(tasks))
         return results
+    if refiner != EXACT and problem.energy_file is None:
+        _ = problem.energy  # trained here and kept, so that no worker trains its own
     portions = np.array_split(np.arange(len(tasks)), max(1, min(len(tasks), PORTIONS * joblib.effective_n_jobs(jobs))))
     parts = [part.fingerprint() for part in (problem.object, problem.workcell, problem.grasps)]
-    key = content_hash(*parts, str(problem.model_folder), problem.preset)
+    key = content_hash(*parts, str(problem.model_folder), str(problem.arm_energy), problem.preset)
     with workers(jobs, "generator") as parallel:
         work = [joblib.delayed(_portion)(problem, key, [tasks[i] for i in part], refiner, options) for part in portions]
         for found in parallel(work):

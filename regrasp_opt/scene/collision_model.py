@@ -44,7 +44,7 @@ class CollisionModel:
         self.pairs, self.required = [(i, j) for i, j, _ in pairs], np.array([clearance for *_, clearance in pairs])
         for i, j in self.pairs:
             self.geometry.addCollisionPair(pin.CollisionPair(i, j))
-        self.inside = Containment(self.model, self.data, self.geometry, self.pairs)
+        self.inside = Containment(self.model, self.data, self.geometry, self.pairs, world.solids)
         self._jaws: dict[tuple[float, float], list[tuple[FloatArray, pin.SE3]]] = {}
 
     def place_object(self, T: FloatArray) -> None:

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import Enum, auto
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from regrasp_opt.conventions import FloatArray
-from regrasp_opt.geometry.shapes import Shape, mesh_geometry, shape_geometry
+from regrasp_opt.geometry.shapes import Shape, shape_geometry
 from regrasp_opt.geometry.solids import Solid, distance
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.scene.workcell import Workcell
@@ -86,6 +87,7 @@ class CollisionWorld:
     """
 
     def __init__(self, workcell: Workcell, model: ObjectModel | None = None) -> None:
+        self._model = model
         self.workcell, robot, effector = workcell, workcell.arm.robot, workcell.arm.end_effector
         self.bodies: list[Body] = []
         for index, item in enumerate(robot.collision.geometryObjects):
@@ -102,9 +104,14 @@ class CollisionWorld:
         self.obstacles = self._add(workcell.obstacles, *fixed)
         self.object = len(self.bodies)
         if model is not None:
-            mesh = mesh_geometry(model.vertices, model.faces)
-            self.bodies.append(Body("object", "object", WORLD, np.eye(4), mesh))
+            self.bodies.append(Body("object", "object", WORLD, np.eye(4), model.solid.geometry))
         self.surroundings = frozenset((*self.supports, *self.obstacles, self.object, *robot.obstacles))
+
+    @cached_property
+    def solids(self) -> list[Solid]:
+        """The bodies with their insides, each in its own frame."""
+        known = {} if self._model is None else {self.object: self._model.solid}
+        return [known.get(i) or Solid(body.geometry) for i, body in enumerate(self.bodies)]
 
     def _add(self, shapes: Sequence[Shape], prefix: str, joint: int, T: FloatArray) -> tuple[int, ...]:
         first = len(self.bodies)
@@ -156,7 +163,8 @@ def collision_at_home(workcell: Workcell) -> tuple[str, str] | None:
     poses = [body.pose for body in world.bodies]
     for i, T in zip(world.fingers, world.finger_poses(arm.end_effector.max_opening), strict=True):
         poses[i] = T
-    placed = [(Solid(body.geometry), frames[body.joint] @ T) for body, T in zip(world.bodies, poses, strict=True)]
+    joints = [body.joint for body in world.bodies]
+    placed = [(solid, frames[j] @ T) for solid, j, T in zip(world.solids, joints, poses, strict=True)]
     for i, j, clearance in world.pairs(ContactPhase.HOME):
         (a, T_a), (b, T_b) = placed[i], placed[j]
         if distance(a, b, T_a, T_b) <= clearance:

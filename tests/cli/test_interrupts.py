@@ -58,7 +58,7 @@ from regrasp_opt.cli import main, prepare
 def busy(*arguments, **options):
     print("busy", flush=True)
     time.sleep(60)
-prepare.run_prepare = busy
+prepare.run_prepare_object = busy
 main()
 """
     assert_ends_with(

@@ -99,7 +99,7 @@ def test_a_hundred_random_pairs(name, monkeypatch):
     assert not false
     assert disjoint >= TASKS / 2
     assert solved >= 0.98 * solvable
-    assert solves > 0 and converged >= 0.98 * solves
+    assert solves > 0 and converged >= 0.95 * solves
     assert (after <= before + 1e-9 * np.maximum(1, np.abs(before))).all()
 
 

@@ -242,6 +242,6 @@ def test_the_command_that_prepares_names_all_that_the_problem_was_loaded_with(tm
     load_object("pentagon").mesh.export(mesh)
     body = replace(load_object(mesh, scale=0.5, repair=True), thickness=0.001)
     cell = load_workcell("nova2-w", end_effector="r85")
-    assert command_arguments(load_object("pentagon"), load_workcell("nova2-s1")) == "pentagon --workcell nova2-s1"
-    wanted = f"'{mesh}' --workcell nova2-w --end-effector r85 --scale 0.5 --repair --thickness 0.001"
+    assert command_arguments(load_object("pentagon"), load_workcell("nova2-s1")) == "nova2-s1 --object pentagon"
+    wanted = f"nova2-w --end-effector r85 --object '{mesh}' --scale 0.5 --repair --thickness 0.001"
     assert command_arguments(body, cell) == wanted

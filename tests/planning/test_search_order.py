@@ -115,7 +115,9 @@ def test_the_papers_recipe_accepts_the_cheapest_below_the_threshold_and_verifies
 
 
 def test_recipes_are_what_the_documentation_says():
-    assert as_recipe("ipopt") == Recipe(NlpRefiner(), "lattice", (2, 4), 6, 400, "verification", "exact")
+    warm = LangevinRefiner(iterations=10, eta=0.1, tau=0.01, anneal=True, device="numpy")
+    assert as_recipe("ipopt") == Recipe(NlpRefiner(), "lattice", (1, 1, 6), 8, 400, "verification", "exact", warm)
+    assert as_recipe("ipopt").stages == ["lattice", "langevin", "ipopt"]
     assert as_recipe("langevin-ipopt") == Recipe(NlpRefiner(), "langevin", fallback=0)
     assert as_recipe("lattice") == Recipe(LatticeRefiner(), "lattice", (400,), 400, 0)
     assert as_recipe("langevin") == Recipe(LangevinRefiner(), "random", (1000,), 50, 0)
@@ -143,7 +145,7 @@ def small(make_energy):
     return objective, PoseLattice.build(energy, placements, bounds)
 
 
-@pytest.mark.parametrize(("starts", "count"), [("lattice", 9), ("random", 5), ("langevin", 5)])
+@pytest.mark.parametrize(("starts", "count"), [("lattice", 5), ("random", 5), ("langevin", 5)])
 def test_start_points_are_as_many_as_are_refined_and_verified(small, starts, count, monkeypatch):
     monkeypatch.setattr(recipes, "LANGEVIN_SAMPLES", 16)
     objective, lattice = small
