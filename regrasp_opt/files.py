@@ -1,4 +1,4 @@
-"""Atomic writes, content hashes, files that files name, and the folder where prepared models live."""
+"""Atomic writes, content hashes, files that files name, and the folder where energies are kept."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def content_hash(*parts: Any) -> str:
 
 
 def data_home() -> Path:
-    """Return the folder of prepared models and caches: ``$REGRASP_OPT_HOME``, or the user's data folder."""
+    """Return the folder of trained energies and caches: ``$REGRASP_OPT_HOME``, or the user's data folder."""
     from platformdirs import user_data_path
 
     return Path(os.environ.get("REGRASP_OPT_HOME") or user_data_path("regrasp-opt"))

@@ -89,7 +89,7 @@ class NlpRefiner:
 def useful_grasps_near(objective: SequenceObjective, placements: IntArray, xi: FloatArray) -> IntArray:
     """Return the grasps (A,) that can matter from one start, `placements` (N,) and `xi` (N, 3).
 
-    What the table rules out at every intermediate pose is left out.
+    What is ruled out at every intermediate pose is left out.
     """
     useful = objective.useful_grasps(len(xi))
     return useful[~objective.ruled_out(placements, xi)[:, useful].all(axis=0)]

@@ -1,4 +1,4 @@
-"""Where prepared models live and how one is found for an object and a workcell.
+"""Where objects' own models live and how one is found for an object and a workcell.
 
 A model is a folder: the grasps, our energy, the paper's preset trained on the same data, and a model card. Bundled
 models come with the package; others are kept in the user's data folder under a hash of object and workcell.

@@ -1,4 +1,4 @@
-"""`prepare`: from an object and a workcell to a stored model - grasps, labels, training, calibration.
+"""`prepare`: from an object and a workcell to a stored model of the object's own - grasps, labels, training.
 
 The paper's preset is trained on the same data and kept beside ours, so that both are on record.
 """
@@ -59,7 +59,7 @@ def prepare(
     jobs: int = -1,
     progress: Progress | None = None,
 ) -> tuple[Path, dict[str, Any]]:
-    """Make and store what planning with `model` in `workcell` needs.
+    """Make and store grasps of `model` in `workcell` and energies of its own; planning can do without.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The problem: one object in one workcell with its candidate grasps and, where one was prepared, its energy."""
+"""The problem: one object in one workcell with its candidate grasps, and the energy that ranks them."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ class RegraspProblem(ProblemData):
     placements : tuple of Placement
         Stable placements on this workcell's table: ``.pose`` (4, 4) T_world_object at xi = 0, ``.margin``.
     model_folder : Path or None
-        Where the prepared model was found.
+        Where the object's own model was found, if one was prepared; else the energy is the arm's.
     preset : {"default", "paper"}
-        Which of the prepared energies is used.
+        Which of the energies in the object's own model is used.
     arm_energy : Path or None
         File of the arm's energy, where one was named.
     base : RegraspProblem or None
@@ -196,7 +196,7 @@ class RegraspProblem(ProblemData):
         OptionError
             If a placement does not exist, or shapes do not fit.
         ModelError
-            If no energy was prepared for the problem.
+            If a file of the energy is broken, or none can be trained.
         """
         return sequence_nlp(self, start, goal, placements, num_regrasps, guess, mask, options or CostOptions())
 

@@ -56,8 +56,8 @@ class Recipe:
         Accept the first candidate that is verified; or, as the paper does, the cheapest that passes the energy
         threshold `h` (Alg. 2), which is then verified once: if that fails there is no plan.
     knowledge : {"exact", "learned"}
-        What the cost knows of start, goal and table: the exact grasps at both ends and those that the table rules out,
-        or learned energies alone, as in the paper.
+        What the cost knows exactly: the grasps at both ends and those that table, object and obstacles rule out, or
+        nothing, as in the paper, whose energies are all learned.
     """
 
     refiner: Refiner

@@ -79,7 +79,7 @@ def solve_sequence(
     OptionError, UnknownNameError
         For `max_regrasps` below 0 or an unknown refiner.
     ModelError
-        If no energy was prepared for the problem, and the refiner is not "exact".
+        If the refiner needs an energy, and a file is broken or none can be trained (`ProblemData.energy`).
     """
     recipe = None if isinstance(refiner, str) and refiner == EXACT else as_recipe(refiner)
     seed = as_seed(seed)

@@ -41,7 +41,7 @@ class SharedGrasps(NamedTuple):
     ----------
     ids : (K,) int
     energies : (K,)
-        Summed over both poses; NaN where no model was prepared.
+        Summed over both poses; NaN where there is no energy yet.
     clearance : (K,) [m]
     colours : (K, 3) uint8
         By energy, or by clearance where there is none.

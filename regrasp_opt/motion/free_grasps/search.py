@@ -111,7 +111,7 @@ def solve_with_free_grasps(
     OptionError
         If `max_regrasps` is out of range.
     ModelError
-        If no energy was prepared for the problem.
+        If a file of the energy is broken, or none can be trained.
     """
     sampled = solve_sequence(problem, start, goal, max_regrasps=max_regrasps, seed=seed)
     if sampled.solved:

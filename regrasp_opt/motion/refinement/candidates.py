@@ -63,7 +63,8 @@ class CandidateCheck:
     bounds : MeasureBounds
         What candidates keep to: those that are given, and what is `held` no worse than before.
     J_seq : casadi.Function or None
-        The cost as a function of ``xi`` (N, 3); None if nothing was prepared, and the cost is always that of the plan.
+        The cost as a function of ``xi`` (N, 3); None where there is no energy, and the cost is always that of
+        the plan.
     refused : str
         What was in the way last.
     """
@@ -76,7 +77,7 @@ class CandidateCheck:
         self.J_seq: Any = None
         self._objective: SequenceObjective | None = None
         self._ends = [PoseFeasibility(self.problem.checker, T) for T in plan.poses[[0, -1]]]
-        if self.problem.model_folder is not None:
+        if self.problem.energy_file is not None:
             start, goal = (exact_energy(end.all()) for end in self._ends)
             blocked = self.problem.ruled_out(plan.placements, plan.xi) if len(plan.xi) else None
             chain = {"start": start, "goal": goal, "placements": plan.placements.tolist(), "blocked": blocked}
