@@ -17,6 +17,7 @@ from regrasp_opt.planning import RegraspPlan, RegraspProblem, solve_sequence
 from regrasp_opt.planning.arm_energy import train_arm_energy
 from regrasp_opt.planning.plan_file import plan_summary
 from regrasp_opt.planning.pose_text import describe_pose, parse_pose
+from regrasp_opt.planning.problem_data import TRAINING_SAID
 from regrasp_opt.planning.recipes import EXACT
 from regrasp_opt.planning.tasks import Task, random_task
 
@@ -37,6 +38,8 @@ def run_plan(
     if search["refiner"] != EXACT and problem.energy_file is None:
         from regrasp_opt.benchmarks.harness.runner import progress
 
+        arm = problem.workcell.arm
+        logger.warning(TRAINING_SAID, arm.robot.name, arm.end_effector.name)
         with progress() as show:
             train_arm_energy(problem.workcell, progress=show)
     energy = problem.energy_file

@@ -26,6 +26,8 @@ from regrasp_opt.solvers import PoseLattice
 
 logger = logging.getLogger(__name__)
 
+TRAINING_SAID = "training an energy for '%s' with '%s', once: a minute, or a few where inverse kinematics is slow"
+
 
 @dataclass(frozen=True, eq=False)
 class ProblemData:
