@@ -90,10 +90,7 @@ class ProblemData:
             file = self.energy_file
             if file is None:
                 arm = self.workcell.arm
-                text = (
-                    "training an energy for '%s' with '%s', once; this takes a minute, or a few without fast kinematics"
-                )
-                logger.warning(text, arm.robot.name, arm.end_effector.name)
+                logger.warning(TRAINING_SAID, arm.robot.name, arm.end_effector.name)
                 file, _ = train_arm_energy(self.workcell)
             model = load_arm_energy(file, self.workcell)
         return ProblemEnergy(model, self.grasps, self.placement_poses)
