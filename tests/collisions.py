@@ -3,7 +3,7 @@
 import numpy as np
 import pinocchio as pin
 
-from regrasp_opt.geometry.solids import Containment
+from regrasp_opt.geometry.solids import Containment, Solid
 from regrasp_opt.scene.collision_model import settle_queries
 
 
@@ -16,5 +16,6 @@ def colliding_links(robot, q):
     settle_queries(data, np.zeros(len(pairs)))
     pin.computeCollisions(robot.model, joints, geometry, data, q, False)
     hits = [k for k, result in enumerate(data.collisionResults) if result.isCollision()]
-    hits += Containment(robot.model, joints, geometry, pairs).found(q)
+    solids = [Solid(item.geometry) for item in geometry.geometryObjects]
+    hits += Containment(robot.model, joints, geometry, pairs, solids).found(q)
     return tuple(robot.link_of(i) for i in pairs[hits[0]]) if hits else None

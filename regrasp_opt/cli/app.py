@@ -354,7 +354,7 @@ def bench(
         typer.Argument(
             metavar="EXPERIMENT",
             help="cost-sweep, one-step, unseen, cross-effector, multi-step, hard-tiers, refiners, ablations, "
-            "joint, motion or speed.",
+            "joint, motion, any or speed.",
             autocompletion=names(EXPERIMENTS),
         ),
     ],

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from rich.markdown import Markdown
 
 from regrasp_opt.benchmarks.comparisons.ablations import run_ablations
+from regrasp_opt.benchmarks.comparisons.any import run_any
 from regrasp_opt.benchmarks.comparisons.joint import run_joint
 from regrasp_opt.benchmarks.comparisons.motion import run_motion
 from regrasp_opt.benchmarks.comparisons.refiners import run_refiners
@@ -34,6 +35,7 @@ EXPERIMENTS: dict[str, Callable[[Session], Report]] = {
     "ablations": run_ablations,
     "joint": run_joint,
     "motion": run_motion,
+    "any": run_any,
     "speed": run_speed,
 }
 """The experiments by their names on the command line."""

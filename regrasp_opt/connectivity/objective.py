@@ -17,6 +17,10 @@ Rule = Callable[[IntArray, FloatArray], BoolArray]
 """Returns which grasps (..., G) are known to be infeasible at `placements` (...) and `xi` (..., 3)."""
 
 
+_AT_ONCE = 100
+"""Poses for which a rule is asked together: what is computed of so few stays in the processor's cache."""
+
+
 @dataclass(frozen=True, eq=False)
 class TableRule:
     """Grasps that put part of the gripper or of the wrist into the table, wherever the object lies on a placement.
@@ -37,6 +41,13 @@ class TableRule:
 
         These are the ones whose point in the table is within the table's edges there.
         """
+        numbers, flat = placements.reshape(-1), xi.reshape(-1, 3)
+        portions = [slice(first, first + _AT_ONCE) for first in range(0, len(numbers), _AT_ONCE)]
+        found = [np.zeros((0, self.point.shape[1]), dtype=bool)]
+        found += [self._ruled_out(numbers[portion], flat[portion]) for portion in portions]
+        return np.concatenate(found).reshape(*placements.shape, self.point.shape[1])
+
+    def _ruled_out(self, placements: IntArray, xi: FloatArray) -> BoolArray:
         x, y, c, s = (part[..., None] for part in (xi[..., 0], xi[..., 1], np.cos(xi[..., 2]), np.sin(xi[..., 2])))
         point = self.point[placements]
         moved = x + c * point[..., 0] - s * point[..., 1], y + s * point[..., 0] + c * point[..., 1]

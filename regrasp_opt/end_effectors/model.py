@@ -115,6 +115,30 @@ class EndEffector:
         left = [Box(f"{box.name[:-2]}-y", box.size, MIRROR @ box.pose @ MIRROR) for box in right]
         return (*right, *left)
 
+    def finger_shifts(self, widths: FloatArray) -> FloatArray:
+        """Return how far (G, K, 3) [m] the K boxes of `finger_boxes` move from width 0 to each of `widths` (G,)."""
+        shifts = np.zeros((len(widths), 2 * len(self.finger), 3))
+        shifts[..., 1] = np.outer(widths, np.repeat([0.5, -0.5], len(self.finger)))
+        return shifts
+
+    def points_at_widths(
+        self, fixed: Sequence[FloatArray], fingers: Sequence[FloatArray], widths: FloatArray
+    ) -> FloatArray:
+        """Return points (G, P, 3) [m] of the tool at `widths` (G,), in the flange frame.
+
+        Parameters
+        ----------
+        fixed : sequence of (F, 3)
+            Points of bodies that stand still.
+        fingers : sequence of (F, 3)
+            Points of each of the boxes of `finger_boxes` at width 0.
+        """
+        none = np.zeros((0, 3))
+        still, moving = np.concatenate([none, *fixed]), np.concatenate([none, *fingers])
+        counts = np.array([len(points) for points in fingers], dtype=np.int64)
+        moved = moving + np.repeat(self.finger_shifts(widths), counts, axis=1)
+        return np.concatenate([np.broadcast_to(still, (len(widths), *still.shape)), moved], axis=1)
+
     def fingerprint(self) -> str:
         """Return a hash of everything that decides which grasps are feasible; the name is not part of it."""
         shapes: list[object] = [shape_parts(shape) for shape in (*self.body, *self.finger)]

@@ -8,18 +8,17 @@ reach (vectorised), inverse kinematics, then Coal on each branch until one is fr
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import coal
 import numpy as np
 
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, invert
-from regrasp_opt.end_effectors import EndEffector
 from regrasp_opt.errors import GraspError
 from regrasp_opt.feasibility.scene import CollisionScene
 from regrasp_opt.feasibility.standing import standing_problem
-from regrasp_opt.geometry.shapes import Shape, surface_points
+from regrasp_opt.geometry.shapes import surface_points
 from regrasp_opt.geometry.solids import Solid, nested
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel
@@ -60,18 +59,6 @@ class _Still:
         self.label = f"the obstacle '{body.label}'" if index in world.obstacles else link
 
 
-def tool_points(effector: EndEffector, width: FloatArray, points_of: Callable[[Shape], FloatArray]) -> FloatArray:
-    """Return points (G, P, 3) of palm and swept fingers at jaw widths (G,), in the flange frame.
-
-    `points_of` returns those of one body; fingers move along y by half the width, those of the +y side come first.
-    """
-    fingers = effector.finger_boxes(0.0, effector.pre_opening)
-    parts = [np.repeat(points_of(shape)[None], len(width), axis=0) for shape in (*effector.body, *fingers)]
-    for k, part in enumerate(parts[len(effector.body) :]):
-        part[:, :, 1] += (0.5 if 2 * k < len(fingers) else -0.5) * width[:, None]
-    return np.concatenate(parts, axis=1)
-
-
 class FeasibilityChecker:
     """Exact feasibility of the grasps of one set on one object in one workcell.
 
@@ -101,7 +88,9 @@ class FeasibilityChecker:
         self._object = None if model is None else _Object(model.vertices, model.solid)
         self._still = [_Still(world, i) for _, i, _ in world.pairs(ContactPhase.REST)]
         self._T_object_flange = grasps.T_object_tcp @ effector.T_tcp_flange
-        self._corners = tool_points(effector, grasps.width, surface_points)
+        fingers = [surface_points(box) for box in effector.finger_boxes(0.0, effector.pre_opening)]
+        fixed = [surface_points(shape) for shape in effector.body]
+        self._corners = effector.points_at_widths(fixed, fingers, grasps.width)  # (G, P, 3) flange frame
 
     def feasible(self, T: FloatArray, grasp_ids: IntArray | None = None) -> BoolArray:
         """Return which grasps are feasible at object pose `T` (4, 4) T_world_object.

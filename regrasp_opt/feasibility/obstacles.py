@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, invert
-from regrasp_opt.feasibility.checker import FeasibilityChecker, tool_points
+from regrasp_opt.feasibility.checker import FeasibilityChecker
 from regrasp_opt.feasibility.tabletop import wrist_bodies
 from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh, Shape, surface_points
 
@@ -49,15 +49,24 @@ class ObstacleRule:
         self._checker, cell = checker, checker.workcell
         self._obstacles = [_around(shape) for shape in cell.obstacles]
         effector, grasps = cell.arm.end_effector, checker.grasps
-        wrist = np.concatenate([np.zeros((0, 3)), *(_axis(*body) for body in wrist_bodies(cell.arm.robot))])
-        tool = tool_points(effector, grasps.width, _grid)
-        self._points = np.concatenate([tool, np.repeat(wrist[None], len(grasps), axis=0)], axis=1)  # (G, P, 3)
-        self._jaws = grasps.width
-        self._middle = (self._points.min(axis=1) + self._points.max(axis=1)) / 2
+        fixed = [_grid(shape) for shape in effector.body]
+        fixed += [_axis(geometry, T) for geometry, T in wrist_bodies(cell.arm.robot)]
+        fingers = effector.finger_boxes(0.0, effector.pre_opening)
+        self._points = effector.points_at_widths(fixed, [_grid(box) for box in fingers], grasps.width)  # (G, P, 3)
+        cores = [_core(shape) for shape in (*effector.body, *fingers)]
+        poses = np.tile([core.pose for core in cores], (len(grasps), 1, 1, 1))  # (G, K, 4, 4)
+        poses[:, len(effector.body) :, :3, 3] += effector.finger_shifts(grasps.width)
+        self._T_core_flange = invert(poses)
+        self._core = np.array([core.size for core in cores]) / 2  # (K, 3)
+        self._box = self._points.min(axis=1), self._points.max(axis=1)  # (G, 3) each, around the tool
+        self._middle = (self._box[0] + self._box[1]) / 2
         self._radius = np.linalg.norm(self._points - self._middle[:, None], axis=2).max(axis=1)
 
     def __call__(self, T: FloatArray, candidates: BoolArray) -> BoolArray:
-        """Return which of the `candidates` (B, G) are ruled out at object poses `T` (B, 4, 4) T_world_object."""
+        """Return what is ruled out (B, G) at object poses `T` (B, 4, 4) T_world_object.
+
+        The tool is tested for the `candidates` (B, G) only; where the object cannot be, no grasp can.
+        """
         blocked = self._object_in_the_way(T)
         found = np.repeat(blocked[:, None], candidates.shape[1], axis=1)
         pose, grasp = np.nonzero(candidates & ~found)
@@ -91,11 +100,15 @@ class ObstacleRule:
     def _holds(self, points: FloatArray, flange: FloatArray, grasp_ids: IntArray) -> BoolArray:
         """Return which tools (M,) at `flange` (M, 4, 4) have one of the `points` (P, 3), in the world, in a part."""
         found = np.zeros(len(flange), dtype=bool)
-        effector = self._checker.workcell.arm.end_effector
-        for m, (T, width) in enumerate(zip(flange, self._jaws[grasp_ids].tolist(), strict=True)):
-            local = _moved(invert(T), points)
-            bodies = (*effector.body, *effector.finger_boxes(width, effector.pre_opening))
-            found[m] = any(_inside(body, _moved(invert(body.pose), local)).any() for body in bodies)
+        portion = max(1, _AT_ONCE * 100 // max(1, len(points)))
+        for first in range(0, len(flange), portion):
+            ids = grasp_ids[first : first + portion]
+            local = _moved(invert(flange[first : first + portion]), points)  # (M, P, 3)
+            low, high = (box[ids][:, None] for box in self._box)
+            m, p = np.nonzero((local > low).all(axis=-1) & (local < high).all(axis=-1))
+            T = self._T_core_flange[ids[m]]
+            inner = np.einsum("nkij,nj->nki", T[..., :3, :3], local[m, p]) + T[..., :3, 3]
+            found[first + m[(np.abs(inner) < self._core).all(axis=-1).any(axis=-1)]] = True
         return found
 
 
@@ -110,6 +123,14 @@ def _around(shape: Shape) -> _Around:
     return _Around(shape, invert(shape.pose), np.array([corners.min(axis=0), corners.max(axis=0)]), points)
 
 
+def _core(shape: Shape) -> Box:
+    """Return a box within a body of the tool: the body itself, or the largest square prism in a cylinder."""
+    if isinstance(shape, Box):
+        return shape
+    side, length = (shape.radius * np.sqrt(2), shape.length) if isinstance(shape, Cylinder) else (0.0, 0.0)
+    return Box(shape.name, np.array([side, side, length]), shape.pose)
+
+
 def _moved(T: FloatArray, points: FloatArray) -> FloatArray:
     """Return `points` (..., P, 3) moved by `T` (..., 4, 4)."""
     moved: FloatArray = points @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
@@ -122,10 +143,8 @@ def _distance(points: FloatArray, box: FloatArray) -> FloatArray:
     return distance
 
 
-def _inside(shape: Shape, points: FloatArray) -> BoolArray:
-    """Return which `points` (..., 3), in the frame of `shape`, lie in it; of a mesh that is not known."""
-    if isinstance(shape, Mesh):
-        return np.zeros(points.shape[:-1], dtype=bool)
+def _inside(shape: Box | Cylinder, points: FloatArray) -> BoolArray:
+    """Return which `points` (..., 3), in the frame of `shape`, lie in it."""
     if isinstance(shape, Box):
         return np.asarray((np.abs(points) < shape.size / 2).all(axis=-1))
     return (np.abs(points[..., 2]) < shape.length / 2) & (np.hypot(points[..., 0], points[..., 1]) < shape.radius)

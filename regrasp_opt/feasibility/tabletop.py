@@ -24,7 +24,7 @@ _ON_AXIS = 1e-6
 
 class _Body(NamedTuple):
     geometry: Any
-    T_flange_body: FloatArray
+    T_flange_body: FloatArray  # (4, 4), or (G, 4, 4) where it depends on the grasp
     clearance: float
 
 
@@ -46,15 +46,19 @@ def points_in_table(workcell: Workcell, grasps: GraspSet, placements: FloatArray
     fixed += [_Body(geometry, T, margins.arm) for geometry, T in wrist_bodies(workcell.arm.robot)]
     T_object_flange = grasps.T_object_tcp @ effector.T_tcp_flange
     found = np.full((len(placements), len(grasps), 2), np.nan)
-    for g, width in enumerate(grasps.width.tolist()):
-        fingers = effector.finger_boxes(width, effector.pre_opening)
-        bodies = [_Body(shape_geometry(s), s.pose, margins.gripper) for s in fingers] + fixed
-        for body in bodies:
-            point = _in_slab(body, placements @ T_object_flange[g], slab)
+    fingers, shifts = effector.finger_boxes(0.0, effector.pre_opening), effector.finger_shifts(grasps.width)
+    bodies = []
+    for k, box in enumerate(fingers):
+        poses = np.tile(box.pose, (len(grasps), 1, 1))
+        poses[:, :3, 3] += shifts[:, k]
+        bodies.append(_Body(shape_geometry(box), poses, margins.gripper))
+    for s, placement in enumerate(placements):
+        for body in bodies + fixed:
+            point = _in_slab(body, placement @ T_object_flange, slab)
             # The nearest point to the object is the last to leave the table.
-            nearer = ~(np.linalg.norm(point, axis=1) >= np.linalg.norm(found[:, g], axis=1))
+            nearer = ~(np.linalg.norm(point, axis=1) >= np.linalg.norm(found[s], axis=1))
             nearer &= np.isfinite(point).all(axis=1)
-            found[nearer, g] = point[nearer]
+            found[s, nearer] = point[nearer]
     return found
 
 
@@ -88,9 +92,10 @@ def _round_about(geometry: Any, T: FloatArray, axis: FloatArray) -> bool:
 
 
 def _in_slab(body: _Body, T_flange: FloatArray, slab: tuple[float, float]) -> FloatArray:
-    """Return a point (S, 2) of `body` between the heights of `slab`, or nearer to its top than the clearance, or NaN.
+    """Return points (G, 2) of `body` between the heights of `slab`, or nearer to its top than the clearance, or NaN.
 
-    Bodies are convex but for meshes, so that they hold what is between their lowest and their highest point.
+    The flange is at poses (G, 4, 4). Bodies are convex but for meshes, so that they hold what is between their lowest
+    and their highest point.
     """
     bottom, top = slab[0], slab[1] + body.clearance
     T = T_flange @ body.T_flange_body
@@ -104,7 +109,7 @@ def _in_slab(body: _Body, T_flange: FloatArray, slab: tuple[float, float]) -> Fl
 
 
 def _extreme(geometry: Any, T: FloatArray, sign: float) -> FloatArray:
-    """Return the highest (`sign` 1) or lowest (-1) point (S, 3) of a Coal geometry at poses (S, 4, 4)."""
+    """Return the highest (`sign` 1) or lowest (-1) point (G, 3) of a Coal geometry at poses (G, 4, 4)."""
     along = sign * T[:, 2, :3]  # the vertical in the body's frame
     if isinstance(geometry, coal.Box):
         local = np.sign(along) * np.array(geometry.halfSide)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import coal
@@ -61,7 +61,15 @@ def find_shells(vertices: FloatArray, faces: IntArray) -> Shells:
 
     Faces that a file has more than once are one, as both sides of a sheet are. Where that leaves a part open, they are
     taken for walls between solids, inside the material: left out where they are wound oppositely, else in pairs.
+    What was found of a mesh is kept: a collision world, its check at home and its screens all ask for the same ones.
     """
+    return _shells(np.asarray(vertices, dtype=np.float64).tobytes(), np.asarray(faces, dtype=np.int64).tobytes())
+
+
+@lru_cache(maxsize=32)
+def _shells(vertex_bytes: bytes, face_bytes: bytes) -> Shells:
+    vertices = np.frombuffer(vertex_bytes).reshape(-1, 3)
+    faces = np.frombuffer(face_bytes, dtype=np.int64).reshape(-1, 3)
     vertices, same = np.unique(vertices, axis=0, return_inverse=True)
     first, label = merge_close(vertices, SAME_VERTEX * max(float(np.ptp(vertices, axis=0).max()), 1e-9))
     vertices, faces = vertices[first], label[same.reshape(-1)[faces]]

@@ -75,7 +75,7 @@ def stable_placements(mesh: trimesh.Trimesh, min_margin: float = LEAST_MARGIN) -
     MeshError
         If the mesh is flat, so that it has no convex hull.
     """
-    facets = _Facets.of(mesh)
+    facets = _Facets.of(mesh, min_margin)
     found, taken = [], np.zeros(len(facets.margins), dtype=bool)
     for rest, margin in facets.rests(min_margin):
         if taken[rest] or facets.hull.rolls(rest):
@@ -88,7 +88,7 @@ def stable_placements(mesh: trimesh.Trimesh, min_margin: float = LEAST_MARGIN) -
 
 def rejected_placements(mesh: trimesh.Trimesh, min_margin: float = LEAST_MARGIN) -> tuple[RejectedPlacement, ...]:
     """Return the other ways in which the solid can rest, by decreasing margin; parameters and errors as above."""
-    facets = _Facets.of(mesh)
+    facets = _Facets.of(mesh, _NO_MARGIN)
     found = []
     for rest, margin in facets.rests(_NO_MARGIN):
         rolls = facets.hull.rolls(rest)
@@ -99,14 +99,18 @@ def rejected_placements(mesh: trimesh.Trimesh, min_margin: float = LEAST_MARGIN)
 
 
 class _Facets(NamedTuple):
-    """The hull's facets, the numbers of those that belong to the support of each, and the margins (F,)."""
+    """The hull's facets, the numbers of those that belong to the support of each, and the margins (F,).
+
+    Margins below what was asked for are not measured; how far the support reaches in one direction, which is no less,
+    stands for them. Few supports of a round body reach beyond the point below its centre of mass.
+    """
 
     hull: Hull
     supports: list[IntArray]
     margins: FloatArray
 
     @staticmethod
-    def of(mesh: trimesh.Trimesh) -> _Facets:
+    def of(mesh: trimesh.Trimesh, least: float) -> _Facets:
         points = np.asarray(mesh.vertices, dtype=np.float64) - mesh.center_mass
         try:
             hull = Hull(points)
@@ -114,12 +118,15 @@ class _Facets(NamedTuple):
             raise MeshError("the mesh is flat and has no convex hull; give a solid") from error
         tree = KDTree(hull.normals)
         supports = [np.array(near) for near in tree.query_ball_point(hull.normals, 2 * np.sin(MERGE_ANGLE / 2))]
-        margins = np.array(
-            [
-                _inner_distance(points[np.unique(hull.simplices[support])], normal) / height
-                for support, normal, height in zip(supports, hull.normals, hull.heights, strict=True)
-            ]
-        )
+        triangles = points[hull.simplices]
+        below = (triangles.mean(axis=1) * hull.normals).sum(axis=1, keepdims=True) * hull.normals
+        back = below - triangles.mean(axis=1)  # from a facet's middle to below the centre of mass
+        margins = np.linalg.norm(back, axis=1)
+        for f, (support, normal, height) in enumerate(zip(supports, hull.normals, hull.heights, strict=True)):
+            reach, length = float((triangles[support] @ back[f]).max()), margins[f]
+            margins[f] = reach / (length * height) if length > TIE * height else np.inf
+            if margins[f] >= least - TIE:
+                margins[f] = _inner_distance(points[np.unique(hull.simplices[support])], normal) / height
         return _Facets(hull, supports, margins)
 
     def rests(self, min_margin: float) -> list[tuple[int, float]]:

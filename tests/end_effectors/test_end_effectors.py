@@ -114,6 +114,19 @@ def test_fingers_keep_their_inner_faces_and_sweep_outward(name: str, width: floa
         assert np.linalg.det(b.pose) == pytest.approx(1.0) and np.array_equal(a.size, b.size)
 
 
+def test_points_of_the_tool_follow_its_width() -> None:
+    effector, widths = load_end_effector("r140"), np.array([0.0, 0.03, 0.11])
+    fingers = [surface_points(box) for box in effector.finger_boxes(0.0, 0.01)]
+    fixed = [surface_points(shape) for shape in effector.body]
+    points = effector.points_at_widths(fixed, fingers, widths)
+    for width, found in zip(widths, points, strict=True):
+        there = [surface_points(box) for box in effector.finger_boxes(width, 0.01)]
+        np.testing.assert_allclose(found, np.concatenate([*fixed, *there]), atol=1e-12)
+    cup = load_end_effector("s1")
+    body = [surface_points(shape) for shape in cup.body]
+    np.testing.assert_array_equal(cup.points_at_widths(body, [], widths), np.tile(np.concatenate(body), (3, 1, 1)))
+
+
 def test_fingerprints_differ_and_follow_geometry_only() -> None:
     tools = [load_end_effector(name) for name in END_EFFECTOR_NAMES]
     assert len({tool.fingerprint() for tool in tools}) == len(tools)

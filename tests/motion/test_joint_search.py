@@ -53,8 +53,9 @@ def test_a_configuration_that_cannot_be_put_on_its_grasp_leaves_the_poses_and_is
     np.testing.assert_array_equal(result.plan.poses, bottle_plan.poses)
 
 
-def test_a_plan_is_refined_without_a_prepared_model(bottle_plan):
+def test_a_plan_is_refined_without_any_energy(bottle_plan, monkeypatch):
     """Only the joint travel counts then, and the cost is that of the plan."""
+    monkeypatch.setattr("regrasp_opt.planning.problem_data.find_arm_energy", lambda _: None)
     plan = replace(bottle_plan, problem=replace(bottle_plan.problem, model_folder=None))
     result = refine_plan(plan, options=SHORT)
     assert result.reason == "" and result.after.travel < result.before.travel

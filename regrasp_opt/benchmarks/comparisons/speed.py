@@ -217,7 +217,7 @@ def _plans(rows: list[Row]) -> Table:
         "plans": len,
         "solved": tables.count("solved"),
         "median [s]": tables.middle("seconds"),
-        "p95 [s]": lambda here: round(float(np.percentile(tables.values(here, "seconds"), 95)), 3),
+        "p95 [s]": tables.late("seconds"),
         "Langevin / ours": ratio,
     }
     note = (

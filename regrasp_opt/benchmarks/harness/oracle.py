@@ -120,7 +120,20 @@ def build_oracle(
     jobs: int = -1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Oracle:
-    """Check every grasp of `problem` on the grid, or read what was checked before.
+    """Check every grasp of `problem` on the grid, or read what was checked before; see `check_poses`."""
+    numbers, xi = grid_poses(len(problem.placements), problem.workcell.bounds.array, resolution)
+    return check_poses(problem, numbers, xi, jobs=jobs, progress=progress)
+
+
+def check_poses(
+    problem: RegraspProblem,
+    numbers: IntArray,
+    xi: FloatArray,
+    *,
+    jobs: int = -1,
+    progress: Callable[[int, int], None] | None = None,
+) -> Oracle:
+    """Check every grasp of `problem` at placements `numbers` (L,) and `xi` (L, 3), or read what was checked before.
 
     Parameters
     ----------
@@ -133,7 +146,6 @@ def build_oracle(
     -----
     Blocks are kept in the data folder. One that cannot be read is reported and made again.
     """
-    numbers, xi = grid_poses(len(problem.placements), problem.workcell.bounds.array, resolution)
     key = content_hash("oracle-2", problem_key(problem), xi, numbers)[:32]
     folder = data_home() / "oracle" / key
     bare = replace(problem)  # without the heavy parts that may be attached

@@ -24,8 +24,8 @@ logger = logging.getLogger(__name__)
 _residents: dict[str, RegraspProblem] = {}
 
 
-def mesh_files(folder: Path) -> list[Path]:
-    """Return the mesh files in `folder`, by name.
+def mesh_files(folder: Path, pattern: str = "*") -> list[Path]:
+    """Return the mesh files in `folder`, by name; with the pattern ``**/*`` those in folders below it too.
 
     Raises
     ------
@@ -34,7 +34,7 @@ def mesh_files(folder: Path) -> list[Path]:
     """
     if not folder.is_dir():
         raise OptionError(f"'{folder}' is not a folder; give one with {', '.join(MESH_SUFFIXES)} files")
-    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in MESH_SUFFIXES)
+    found = sorted(path for path in folder.glob(pattern) if path.suffix.lower() in MESH_SUFFIXES)
     if not found:
         raise OptionError(f"'{folder}' holds no mesh; give a folder with {', '.join(MESH_SUFFIXES)} files")
     return found

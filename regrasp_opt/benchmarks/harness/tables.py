@@ -6,6 +6,7 @@ from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from statistics import median
 from typing import Any
 
+import numpy as np
 import plotly.graph_objects as go
 
 from regrasp_opt.benchmarks.harness.report import Cell, Table, mean, percent
@@ -56,6 +57,16 @@ def middle(value: Value, digits: int = 3, of: Value | None = None) -> Column:
     def column(rows: list[Row]) -> Cell:
         found = values(rows, value, of)
         return round(float(median(found)), digits) if found else None
+
+    return column
+
+
+def late(value: Value, digits: int = 3, of: Value | None = None) -> Column:
+    """Return the column of a rounded 95th percentile."""
+
+    def column(rows: list[Row]) -> Cell:
+        found = values(rows, value, of)
+        return round(float(np.percentile(found, 95)), digits) if found else None
 
     return column
 
