@@ -28,6 +28,8 @@ from regrasp_opt.planning.verification import LazyTransitions, PoseFeasibility, 
 from regrasp_opt.solvers import Candidates, LatticeRefiner, Refiner, lattice_starts
 from regrasp_opt.threads import one_blas_thread
 
+SAME = 1e-3
+"""How much planar parameters of the same plan differ at most [m, rad]."""
 MAX_REGRASPS = 8
 """Largest number of intermediate poses that can be asked for."""
 
@@ -158,6 +160,7 @@ class _Search:
         self.stats: list[dict[str, Any]] = []
         self.cheapest: Candidates | None = None
         self.known: dict[bytes, PoseFeasibility] = {}
+        self.refused: list[RegraspPlan] = []
 
     def run(self, max_regrasps: int) -> RegraspPlan:
         start, goal = self.ends
@@ -222,6 +225,8 @@ class _Search:
         for index in range(len(candidates)):
             if self.clock.over:
                 return None
+            if self._was_refused(candidates, index):
+                continue
             with self.clock.timed("verify"):
                 chain = self._verify(objective, candidates, index)
             if chain is None:
@@ -238,7 +243,17 @@ class _Search:
         if self.accept is None:
             return True
         with self.clock.timed("accept"):
-            return self.accept(plan)
+            accepted = self.accept(plan)
+        if not accepted:
+            self.refused.append(plan)
+        return accepted
+
+    def _was_refused(self, candidates: Candidates, index: int) -> bool:
+        """Return whether the same poses were shown before: several starts may be refined to one minimum."""
+        placements, xi = candidates.placements[index], candidates.xi[index]
+        return any(
+            np.array_equal(plan.placements, placements) and np.allclose(plan.xi, xi, atol=SAME) for plan in self.refused
+        )
 
     def _by_threshold(
         self, objective: SequenceObjective, candidates: Candidates, entry: dict[str, Any]
