@@ -24,10 +24,12 @@ def workers(jobs: int, return_as: str) -> Iterator[joblib.Parallel]:
         "generator" or "generator_unordered".
     """
     with joblib.Parallel(n_jobs=jobs, return_as=return_as) as parallel:
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        blocks = hasattr(signal, "pthread_sigmask")  # Windows has none
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if blocks else None
         try:
             nothing: list[Any] = [joblib.delayed(int)() for _ in range(joblib.effective_n_jobs(jobs))]
             list(parallel(nothing))
         finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+            if before is not None:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
         yield parallel

@@ -17,6 +17,7 @@ from regrasp_opt.connectivity.costs import pair_weights
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
 from regrasp_opt.energy.activations import TorchNetwork, activate_with_slope
 from regrasp_opt.energy.network import evaluate
+from regrasp_opt.errors import OptionError
 
 if TYPE_CHECKING:
     import torch
@@ -39,6 +40,8 @@ class NumPyLandscape:
     """The landscape of sequences with `num_regrasps` poses; the truncated cost has no gradient here."""
 
     def __init__(self, objective: SequenceObjective, num_regrasps: int) -> None:
+        if objective.options.variant == "Jh":
+            raise OptionError("the truncated cost Jh has no useful gradient; use variant J or J+, or Langevin in torch")
         energy = objective.energy
         self.model, self.options = energy.model, objective.options
         self.ids = objective.useful_grasps(num_regrasps)

@@ -11,6 +11,7 @@ ranked by the negative log of that, which does not let an abundant pair make up 
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -41,8 +42,10 @@ Of lattice chains that hold, the least had 1e-3; where a number of regrasps cann
 _WORKERS = 2
 _GRASPS = 50
 """Grasps that are evaluated at once at a placement and yaw, so that a layer stays in the cache."""
+_RANKINGS = 6
+"""Times that chains are ranked at most, while poses that are ranked first are still being asked about."""
 _HOPELESS = 10.0
-"""Energy above which a grasp need not be asked about: with all others, it would be worth 1e-4 grasps at most."""
+"""Energy above which a grasp need not be asked about: 200 of them are worth a hundredth of a grasp."""
 
 
 PromiseRule = Callable[[IntArray, FloatArray, BoolArray], BoolArray]
@@ -70,7 +73,7 @@ class PoseLattice:
         return self._likelihoods[alpha]
 
     def under(self, rule: PromiseRule) -> PoseLattice:
-        """Return a lattice with the same energies that asks `rule`, too."""
+        """Return a copy for one search that asks `rule`, too: what it learns of poses would change the next search."""
         known = {alpha: P.copy() for alpha, P in self._likelihoods.items()}
         return PoseLattice(self.placements, self.xi, self.energies.copy(), rule, known)
 
@@ -78,16 +81,17 @@ class PoseLattice:
     def _settled(self) -> BoolArray:
         return np.zeros(len(self.energies), dtype=bool)
 
-    def settle(self, poses: IntArray) -> None:
-        """Block what the rule rules out at the `poses` of these numbers, where that was not asked yet."""
-        if self.rule is None:
-            return
+    def settle(self, poses: IntArray) -> bool:
+        """Block what the rule rules out at the `poses` of these numbers; return whether any had not been asked yet."""
         asked = np.unique(poses[~self._settled[poses]])
-        self._settled[asked] = True
+        if self.rule is None or len(asked) == 0:
+            return False
         ruled_out = self.rule(self.placements[asked], self.xi[asked], self.energies[asked] < _HOPELESS)
         self.energies[asked] = block(self.energies[asked], ruled_out)
         for alpha, P in self._likelihoods.items():
             P[asked] = np.exp(-self.energies[asked] / np.float32(alpha))
+        self._settled[asked] = True
+        return True
 
     @cached_property
     def cells(self) -> IntArray:
@@ -157,6 +161,26 @@ def lattice_starts(
 
     Those with a pair below the `LEAST_CHANCE` are left out, so there may be none.
     """
+    for _ in range(1 if lattice.rule is None else _RANKINGS):
+        ranked = _ranked(lattice, objective, num_regrasps, copy.deepcopy(rng))
+        found, known, first = ranked[:0], True, 0
+        while len(found) < count and first < len(ranked):
+            portion = _worth(lattice, objective, ranked[first : first + max(count, first)])
+            first += max(count, first)
+            if lattice.settle(portion):
+                known, portion = False, _worth(lattice, objective, portion)
+            found = np.concatenate([found, portion])
+        if known:  # what was ranked first is what it seemed to be
+            break
+    found = found[:count]
+    energies = objective.chain(lattice.energies[found].astype(np.float64))
+    return Candidates(lattice.placements[found], lattice.xi[found], sequence_cost(energies, objective.options))
+
+
+def _ranked(
+    lattice: PoseLattice, objective: SequenceObjective, num_regrasps: int, rng: np.random.Generator
+) -> IntArray:
+    """Return chains (C, N) of poses by their chance, the best of each coarse cell first."""
     alpha = objective.options.alpha
     P = lattice.likelihoods(alpha)
     reach = [P @ np.exp(-end / alpha).astype(np.float32) for end in (objective.start_energy, objective.goal_energy)]
@@ -165,20 +189,8 @@ def lattice_starts(
         chains, cost = np.arange(len(P))[:, None], from_start + to_goal
     else:
         chains, cost = _chains(P, from_start, to_goal, num_regrasps, rng)
-    order = np.argsort(cost, kind="stable")[:RANKED]
-    ranked = chains[order]
-    ranked = ranked[_different(lattice.cells[ranked])]
-    found, first = ranked[:0], 0
-    while len(found) < count and first < len(ranked):
-        portion = _worth(lattice, objective, ranked[first : first + max(count, first)])
-        first += max(count, first)
-        if lattice.rule is not None:
-            lattice.settle(portion)
-            portion = _worth(lattice, objective, portion)
-        found = np.concatenate([found, portion])
-    found = found[:count]
-    energies = objective.chain(lattice.energies[found].astype(np.float64))
-    return Candidates(lattice.placements[found], lattice.xi[found], sequence_cost(energies, objective.options))
+    ranked = chains[np.argsort(cost, kind="stable")[:RANKED]]
+    return ranked[_different(lattice.cells[ranked])]
 
 
 def _worth(lattice: PoseLattice, objective: SequenceObjective, chains: IntArray) -> IntArray:

@@ -18,7 +18,7 @@ from regrasp_opt.planning.arm_energy import train_arm_energy
 from regrasp_opt.planning.plan_file import plan_summary
 from regrasp_opt.planning.pose_text import describe_pose, parse_pose
 from regrasp_opt.planning.problem_data import TRAINING_SAID
-from regrasp_opt.planning.recipes import EXACT
+from regrasp_opt.planning.recipes import EXACT, as_recipe
 from regrasp_opt.planning.tasks import Task, random_task
 
 logger = logging.getLogger(__name__)
@@ -35,17 +35,18 @@ def run_plan(
     as_json: bool,
 ) -> int:
     """Plan with the options `search` of `solve_sequence`, print and save; return 0 if solved, else 1."""
-    if search["refiner"] != EXACT and problem.energy_file is None:
+    exact = search["refiner"] == EXACT or as_recipe(search["refiner"]) is None
+    with working("drawing a task", None):
+        task = _task(problem, start, goal, search["seed"])
+    if not exact and problem.energy_file is None:
         from regrasp_opt.benchmarks.harness.runner import progress
 
         arm = problem.workcell.arm
         logger.warning(TRAINING_SAID, arm.robot.name, arm.end_effector.name)
         with progress() as show:
             train_arm_energy(problem.workcell, progress=show)
-    energy = problem.energy_file
-    logger.info("%d grasps, %d placements, energy %s", len(problem.grasps), len(problem.placements), energy)
+    logger.info("%d grasps, %d placements", len(problem.grasps), len(problem.placements))
     with working(f"planning up to {search['max_regrasps']} regrasp(s)", search["time_limit"]):
-        task = _task(problem, start, goal, search["seed"])
         plan = solve_sequence(problem, task.start, task.goal, **search)
     for tried in plan.refiner_stats:
         logger.info("tried %s", ", ".join(f"{key} {value}" for key, value in tried.items()))

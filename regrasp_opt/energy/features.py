@@ -64,6 +64,13 @@ def pair_features(T: FloatArray, grasps: GraspSet, features: FeatureSet, use_wid
     return np.concatenate([*parts, grasps.width[:, None]] if use_width else parts, axis=1)
 
 
+def with_tcp_weights(W: FloatArray, features: FeatureSet, tcp: FloatArray) -> FloatArray:
+    """Return the first layer's weights `W` (H, F) with other weights `tcp` (3, H, 4) of the tool pose."""
+    changed, first = W.copy(), 12 * BLOCKS[features].index("tcp")
+    changed[:, first : first + 12] = tcp.transpose(1, 0, 2).reshape(len(W), 12)
+    return changed
+
+
 def input_weights(W: FloatArray, features: FeatureSet, use_width: bool) -> InputWeights:
     """Return the first layer's weights `W` (H, F) by what they weigh."""
     blocks = {block: W[:, 12 * i : 12 * (i + 1)] for i, block in enumerate(BLOCKS[features])}

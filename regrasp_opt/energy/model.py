@@ -17,7 +17,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.energy.activations import Activation, activate
-from regrasp_opt.energy.features import FeatureSet, InputWeights, input_weights
+from regrasp_opt.energy.features import FeatureSet, InputWeights, input_weights, with_tcp_weights
 from regrasp_opt.energy.network import evaluate
 from regrasp_opt.files import content_hash
 from regrasp_opt.grasps import GraspSet
@@ -71,7 +71,7 @@ class EnergyModel:
         if np.array_equal(T_base_world, np.eye(4)):
             return self
         W, tcp = self.weights[0].astype(np.float64), self.input_weights.tcp
-        W[:, :12] = np.einsum("ij,ihk->hjk", T_base_world[:3, :3], tcp).reshape(-1, 12)
+        W = with_tcp_weights(W, self.features, np.einsum("ij,ihk->jhk", T_base_world[:3, :3], tcp))
         b = self.biases[0] + np.einsum("i,ih->h", T_base_world[:3, 3], tcp[:, :, 3])
         weights, biases = (W.astype(np.float32), *self.weights[1:]), (b.astype(np.float32), *self.biases[1:])
         return replace(self, weights=weights, biases=biases)

@@ -161,7 +161,9 @@ def _grid(shape: Shape) -> FloatArray:
 
 
 def _axis(geometry: Any, T: FloatArray) -> FloatArray:
-    """Return points (3, 3) on the axis of a Coal body that has one, else its middle, in the frame of the flange."""
+    """Return points (3, 3) in a Coal body, along its axis, in the frame of the flange; none of a mesh (0, 3)."""
+    if not isinstance(geometry, (coal.Box, coal.Sphere, coal.Cylinder, coal.Capsule)):
+        return np.zeros((0, 3))
     half = geometry.halfLength if isinstance(geometry, (coal.Cylinder, coal.Capsule)) else 0.0
     local = np.outer([-1.0, 0.0, 1.0], [0.0, 0.0, half])
     return local @ T[:3, :3].T + T[:3, 3]

@@ -65,13 +65,14 @@ def label_tool_poses(
     ModelError
         If no pose in the first block is feasible; says why.
     """
-    blocks: list[LabelledToolPoses] = []
-    numbers = range(-(-count // BLOCK))
+    blocks = [_block(workcell, seed, 0)]
+    if not blocks[0].feasible.any():
+        raise ModelError(_nothing_feasible(workcell, blocks[0]))
     with workers(jobs, "generator") as parallel:
-        for block in parallel(joblib.delayed(_block)(workcell, seed, number) for number in numbers):
+        for block in parallel(
+            joblib.delayed(_block)(workcell, seed, number) for number in range(1, -(-count // BLOCK))
+        ):
             blocks.append(block)
-            if not blocks[0].feasible.any():
-                raise ModelError(_nothing_feasible(workcell, blocks[0]))
             if progress is not None:
                 progress(min(count, BLOCK * len(blocks)), count)
     return LabelledToolPoses(
@@ -85,8 +86,9 @@ def _block(workcell: Workcell, seed: int, number: int) -> LabelledToolPoses:
     checker = FeasibilityChecker(None, workcell, jaw)
     T, ids = _uniform(workcell, BLOCK // 3, rng), rng.integers(len(jaw), size=BLOCK // 3)
     feasible = checker.feasible_pairs(T, ids)
-    around = np.flatnonzero(feasible) if feasible.any() else np.arange(len(T))
-    chosen = rng.choice(around, BLOCK - len(T))
+    if not feasible.any():
+        return LabelledToolPoses(T, jaw.width[ids], feasible)
+    chosen = rng.choice(np.flatnonzero(feasible), BLOCK - len(T))
     near = T[chosen].copy()
     near[:, :3, 3] += rng.normal(scale=MOVED, size=(len(near), 3))
     turns = Rotation.from_rotvec(rng.normal(scale=TURNED, size=(len(near), 3))).as_matrix()
@@ -108,11 +110,16 @@ def _uniform(workcell: Workcell, count: int, rng: np.random.Generator) -> FloatA
     arm = workcell.arm
     reach, base = arm.robot.max_reach + arm.end_effector.tcp_offset, arm.T_world_base[:3, 3]
     lowest = min(support.height for support in workcell.supports)
+    bottom = max(-reach, lowest - base[2])
+    if bottom > 0.99 * reach:
+        raise ModelError(
+            f"'{arm.robot.name}' reaches {reach:.2f} m and stands {lowest - base[2]:.2f} m below the lowest support of "
+            f"'{workcell.name}', so its energy cannot be trained; check 'robot.position' and the table's height"
+        )
     position = np.zeros((0, 3))
     while len(position) < count:
-        drawn = rng.uniform(-reach, reach, (4 * count, 3))
-        kept = (np.linalg.norm(drawn, axis=1) < reach) & (drawn[:, 2] + base[2] > lowest)
-        position = np.concatenate([position, base + drawn[kept]])
+        drawn = rng.uniform([-reach, -reach, bottom], reach, (4 * count, 3))
+        position = np.concatenate([position, base + drawn[np.linalg.norm(drawn, axis=1) < reach]])
     T = np.tile(np.eye(4), (count, 1, 1))
     T[:, :3, :3] = Rotation.random(count, random_state=rng).as_matrix()
     T[:, :3, 3] = position[:count]

@@ -7,6 +7,7 @@ afterwards, comes in by exact rules (`RegraspProblem.ruled_out`) and by the chec
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import shlex
@@ -44,6 +45,8 @@ POSES = 300_000
 """Tool poses to train on."""
 POSES_NUMERICAL = 60_000
 """The same where inverse kinematics is numerical, and slow."""
+LEAST_JOINTS = 6
+"""Joints that an arm needs for its tool to be anywhere in a volume, in any direction."""
 UNSEEN_GRASPS, UNSEEN_POSES = 50, 40
 """Grasps of each built-in object, and poses, that say how good an energy is on objects that it never saw."""
 
@@ -57,8 +60,14 @@ def find_arm_energy(workcell: Workcell) -> Path | None:
     bundled = Path(str(resources.files("regrasp_opt"))) / "data" / "arms"
     bundled /= f"{arm.robot.name}-{arm.end_effector.name}.safetensors"
     for path in (bundled, _kept(key)):
-        if path.is_file() and not key.differing(load_energy(path).metadata):
-            return path
+        if os.path.isfile(path):
+            try:
+                card = load_energy(path).metadata
+            except ModelError as error:
+                logger.warning("%s; it is left out", error)
+                continue
+            if not key.differing(card):
+                return path
     return None
 
 
@@ -81,8 +90,8 @@ def load_arm_energy(path: str | os.PathLike[str], workcell: Workcell) -> EnergyM
             f"'{path}' is the energy of another {' and '.join(other)} than '{arm.robot.name}' with "
             f"'{arm.end_effector.name}' in '{workcell.name}'; run 'regrasp-opt prepare {arguments}'"
         )
-    if card["surroundings"] != surroundings(workcell):
-        logger.info("the energy of the arm was trained in '%s', with other supports or obstacles", card["workcell"])
+    if card.get("surroundings") != surroundings(workcell):
+        logger.info("the energy of the arm was trained in '%s', with other supports or obstacles", card.get("workcell"))
     return model.seen_from(arm.T_base_world)
 
 
@@ -122,14 +131,22 @@ def train_arm_energy(
     ModelError
         If no tool pose is feasible; says why, with counts.
     OptionError
-        For fewer than 1,000 poses, or no workers.
+        For fewer than 1,000 poses, no workers, or a place that cannot be written.
     """
+    arm = workcell.arm
+    if arm.robot.dof < LEAST_JOINTS:
+        raise ModelError(
+            f"'{arm.robot.name}' has {arm.robot.dof} joints and reaches almost no tool pose drawn at random, so "
+            "it has no energy of its own; plan with refiner 'exact', or run "
+            f"'regrasp-opt prepare {shlex.join(workcell_arguments(workcell))} --object OBJECT'"
+        )
     if poses is None:
         poses = POSES_NUMERICAL if isinstance(workcell.arm.robot.ik, NumericalIk) else POSES
     if poses < 1000:
         raise OptionError(f"poses is {poses}; give at least 1000")
     if jobs == 0:
         raise OptionError("jobs is 0; give a number of worker processes, or -1 for all cores")
+    path = _writable(_kept(ArmKey.of(workcell)) if out is None else Path(out))
     seed, workcell, tell = as_seed(seed), workcell.as_loaded, progress or (lambda *_: None)
     began = [time.perf_counter()]
     labels = label_tool_poses(workcell, poses, seed=seed, jobs=jobs, progress=lambda n, of: tell("labelling", n, of))
@@ -155,10 +172,22 @@ def train_arm_energy(
         "unseen": {name: average_precision(E.ravel(), feasible.ravel()) for name, (E, feasible) in unseen.items()},
         "times": dict(zip(("labelling", "training", "evaluation"), np.diff(began).tolist(), strict=True)),
     }
-    path = _kept(key) if out is None else Path(out)
-    path.parent.mkdir(parents=True, exist_ok=True)
     save_energy(replace(trained, metadata=card), path)
     return path, card
+
+
+def _writable(path: Path) -> Path:
+    """Return `path`, which can be written once its folder is made; it is looked at before work is spent."""
+    if path.is_dir():
+        raise OptionError(f"'{path}' is a folder; give the name of a file, for example '{path / 'arm.safetensors'}'")
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+        raise OptionError(
+            f"the energy cannot be written to '{path}'; give another place, or set REGRASP_OPT_HOME to a "
+            "folder that can be written"
+        )
+    return path
 
 
 def _kept(key: ArmKey) -> Path:

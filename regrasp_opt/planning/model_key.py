@@ -53,7 +53,9 @@ class ModelKey:
 
     def differing(self, report: dict[str, Any]) -> list[str]:
         """Return the parts in which the model of `report` was made for something else; older reports know none."""
-        return _differing(self.parts(), report.get("made_for"))
+        made_for = report.get("made_for")
+        known = made_for if isinstance(made_for, dict) else {}
+        return [name.replace("_", "-") for name, value in self.parts().items() if known.get(name, value) != value]
 
 
 @dataclass(frozen=True)
@@ -79,8 +81,10 @@ class ArmKey:
         return content_hash("arm", FORMAT, self.robot, self.mounting, self.end_effector)[:32]
 
     def differing(self, card: dict[str, Any]) -> list[str]:
-        """Return the parts in which the energy with the model card `card` belongs to another arm."""
-        return _differing(asdict(self), card.get("arm"))
+        """Return the parts in which the energy with the model card `card` belongs to another arm, or does not say."""
+        known = card.get("arm")
+        parts = asdict(self).items()
+        return [n.replace("_", "-") for n, value in parts if not isinstance(known, dict) or known.get(n) != value]
 
 
 def surroundings(workcell: Workcell) -> str:
@@ -88,8 +92,3 @@ def surroundings(workcell: Workcell) -> str:
     workcell = workcell.as_loaded
     fixed = (*(support.shape for support in workcell.supports), *workcell.obstacles)
     return content_hash([shape_parts(shape) for shape in fixed])
-
-
-def _differing(parts: dict[str, str], made_for: Any) -> list[str]:
-    known = made_for if isinstance(made_for, dict) else {}
-    return [name.replace("_", "-") for name, value in parts.items() if known.get(name, value) != value]

@@ -107,14 +107,17 @@ class ProblemData:
         return self.rules.table
 
     @cached_property
+    def free_lattice(self) -> PoseLattice:
+        """The lattice of poses with their energies, but for obstacles; grasps that are ruled out are `BLOCKED`."""
+        if self.base is not None:
+            return self.base.free_lattice
+        bounds, rules = self.workcell.bounds.array, self.rules
+        return PoseLattice.build(self.energy, self.placement_poses, bounds, rules.free_space)
+
+    @property
     def lattice(self) -> PoseLattice:
-        """The lattice of poses with their energies, those of grasps that are ruled out `BLOCKED`."""
-        if self.base is None:
-            bounds, rules = self.workcell.bounds.array, self.rules
-            free = PoseLattice.build(self.energy, self.placement_poses, bounds, rules.free_space)
-        else:
-            free = self.base.lattice
-        return free.under(self.rules.behind_obstacles) if self.rules.obstacles else free
+        """A lattice for one search: `free_lattice`, or a copy that asks the obstacles as well."""
+        return self.free_lattice.under(self.rules.behind_obstacles) if self.rules.obstacles else self.free_lattice
 
     def ruled_out(self, placements: Any, xi: Any) -> BoolArray:
         """Return which grasps (..., G) are known to be infeasible at placement numbers (...) and `xi` (..., 3)."""

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from regrasp_opt.planning.plan_data import Status
 from regrasp_opt.planning.problem import RegraspProblem
 from regrasp_opt.planning.recipes import EXACT, Recipe, as_recipe
 from regrasp_opt.planning.verification import LazyTransitions, PoseFeasibility, verify_sequence
-from regrasp_opt.solvers import Candidates, LatticeRefiner, Refiner, lattice_starts
+from regrasp_opt.solvers import Candidates, LatticeRefiner, PoseLattice, Refiner, lattice_starts
 from regrasp_opt.threads import one_blas_thread
 
 SAME = 1e-3
@@ -186,7 +187,7 @@ class _Search:
         objective, recipe = self.objective, self.recipe
         rng = np.random.default_rng([self.seed, num_regrasps])
         with self.clock.timed("starts"):
-            chains = recipe.start_points(lambda: self.problem.lattice, objective, num_regrasps, rng)
+            chains = recipe.start_points(lambda: self.lattice, objective, num_regrasps, rng)
         if not len(chains):
             self.stats.append({"num_regrasps": num_regrasps, "refiner": recipe.refiner.name, "starts": 0})
             return None
@@ -215,7 +216,7 @@ class _Search:
         self.stats.append(entry)
         with self.clock.timed("starts"):
             rng = np.random.default_rng([self.seed, num_regrasps])
-            chains = lattice_starts(self.problem.lattice, objective, num_regrasps, recipe.fallback, rng)
+            chains = lattice_starts(self.lattice, objective, num_regrasps, recipe.fallback, rng)
         return self._first_verified(objective, chains, entry)
 
     def _first_verified(
@@ -314,6 +315,10 @@ class _Search:
         return self.result(
             Status.TIME_LIMIT, cost=float(best.cost[0]), chain=chain, placements=best.placements[0], xi=best.xi[0]
         )
+
+    @cached_property
+    def lattice(self) -> PoseLattice:
+        return self.problem.lattice
 
     @property
     def objective(self) -> SequenceObjective:

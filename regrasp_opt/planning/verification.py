@@ -82,15 +82,21 @@ def enumerate_transition(checker: FeasibilityChecker, a: PoseFeasibility, b: Pos
     """
     ids = np.flatnonzero(a.all() & b.all())
     ends = [_Branches(checker, pose.T, ids) for pose in (a, b)]
+    kept: list[int] = []
     picks, places, clearances = [], [], []
     for k, grasp_id in enumerate(ids.tolist()):
-        q_pick, q_place = _nearest_free_pair(ends[0].of(k), ends[1].of(k), checker)
+        pair = _nearest_free_pair(ends[0].of(k), ends[1].of(k), checker)
+        if pair is None:  # among all branches, the free one fell to a near-equal one that is not
+            continue
+        q_pick, q_place = pair
+        kept.append(grasp_id)
         picks.append(q_pick)
         places.append(q_place)
         clearances.append(min(checker.clearance(a.T, grasp_id, q_pick), checker.clearance(b.T, grasp_id, q_place)))
-    shape = (len(ids), checker.workcell.arm.robot.dof)
+    assert kept or not len(ids), "no grasp that was verified feasible at both poses has a free pair of configurations"
+    shape = (len(kept), checker.workcell.arm.robot.dof)
     return Transition(
-        ids,
+        np.array(kept, dtype=np.int64),
         np.array(picks, dtype=np.float64).reshape(shape),
         np.array(places, dtype=np.float64).reshape(shape),
         np.array(clearances, dtype=np.float64),
@@ -147,12 +153,12 @@ def _nearest_free_pair(
     pick: tuple[FloatArray, Callable[[int], bool]],
     place: tuple[FloatArray, Callable[[int], bool]],
     checker: FeasibilityChecker,
-) -> tuple[FloatArray, FloatArray]:
-    """Return the free pick and place configurations (dof,) with the smallest largest joint move between them."""
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return the free pick and place configurations (dof,) with the smallest largest joint move between, or None."""
     targets = checker.workcell.arm.robot.nearest_equivalent(place[0][None], pick[0][:, None])
     move = np.abs(pick[0][:, None] - targets).max(axis=2)
     for index in np.argsort(move, axis=None, kind="stable").tolist():
         i, j = divmod(index, len(place[0]))
         if pick[1](i) and place[1](j):
             return pick[0][i], targets[i, j]
-    raise AssertionError("a grasp that was verified feasible at both poses has no free pair of configurations")
+    return None

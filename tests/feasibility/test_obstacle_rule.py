@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from regrasp_opt import RegraspProblem
+from regrasp_opt import RegraspProblem, solve_sequence
 from regrasp_opt.conventions import planar_transform, translation
 from regrasp_opt.feasibility.dataset import random_poses
 from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh
+from regrasp_opt.planning.tasks import random_task
 
 SPHERE = trimesh.creation.icosphere(2, 0.08)
 SHAPES = {
@@ -47,3 +48,13 @@ def test_only_candidates_are_asked_about():
 def test_where_the_object_is_in_an_obstacle_every_grasp_is_ruled_out():
     problem = RegraspProblem.load("mug", "nova2-w").with_obstacles([SHAPES["box"]])
     assert problem.ruled_out(np.array([0]), np.array([[0.15, 0.35, 0.0]])).all()
+
+
+def test_the_same_seed_gives_the_same_plan_however_often_it_is_asked_for():
+    problem = RegraspProblem.load("mug", "nova2-w").with_obstacles([SHAPES["box"], SHAPES["cylinder"]])
+    rng = np.random.default_rng(4)
+    for _ in range(3):
+        task = random_task(problem, rng, needs_regrasp=True)
+        first, second = (solve_sequence(problem, task.start, task.goal, seed=1) for _ in range(2))
+        np.testing.assert_array_equal(first.poses, second.poses)
+        assert first.solved and first.residuals().hold

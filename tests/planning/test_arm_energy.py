@@ -11,7 +11,7 @@ from regrasp_opt.connectivity import block
 from regrasp_opt.conventions import planar_transform
 from regrasp_opt.energy.calibration import average_precision
 from regrasp_opt.energy.model import GraspEnergy
-from regrasp_opt.energy.storage import load_energy
+from regrasp_opt.energy.storage import load_energy, save_energy
 from regrasp_opt.errors import ModelError, OptionError
 from regrasp_opt.feasibility import FeasibilityChecker
 from regrasp_opt.feasibility.dataset import random_poses
@@ -19,6 +19,7 @@ from regrasp_opt.feasibility.tool_poses import label_tool_poses
 from regrasp_opt.geometry.shapes import Box
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.planning.arm_energy import find_arm_energy, load_arm_energy, train_arm_energy
+from regrasp_opt.planning.model_key import ArmKey
 from regrasp_opt.planning.tasks import random_task
 from regrasp_opt.scene.loading import WORKCELL_NAMES
 
@@ -161,3 +162,54 @@ def test_an_arm_that_can_be_nowhere_says_why(nova2_w, tmp_path):
 def test_bad_options_are_refused(nova2_w, options, said):
     with pytest.raises(OptionError, match=said):
         train_arm_energy(nova2_w, **options)
+
+
+def test_a_folder_or_a_place_that_cannot_be_written_is_refused_before_work_is_spent(nova2_w, tmp_path):
+    with pytest.raises(OptionError, match="is a folder; give the name of a file"):
+        train_arm_energy(nova2_w, out=tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OptionError, match="cannot be written to"):
+        train_arm_energy(nova2_w, out=tmp_path / "file" / "arm.safetensors")
+
+
+def test_a_broken_energy_in_the_data_folder_is_left_out(tmp_path, monkeypatch, caplog):
+    monkeypatch.setenv("REGRASP_OPT_HOME", str(tmp_path / "home"))
+    own = cell(tmp_path, height=0.1)
+    path = tmp_path / "home" / "arms" / f"{ArmKey.of(own).id}.safetensors"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"garbage")
+    assert find_arm_energy(own) is None and "corrupt" in caplog.text
+
+
+@pytest.mark.parametrize("missing", ["robot", "mounting", "end_effector"])
+def test_a_card_that_does_not_say_for_which_arm_is_refused(nova2_w, tmp_path, missing):
+    model = load_energy(find_arm_energy(nova2_w))
+    arm = {name: value for name, value in model.metadata["arm"].items() if name != missing}
+    save_energy(replace(model, metadata={**model.metadata, "arm": arm}), tmp_path / "arm.safetensors")
+    with pytest.raises(ModelError, match=f"another {missing.replace('_', '-')}"):
+        load_arm_energy(tmp_path / "arm.safetensors", nova2_w)
+
+
+def test_an_arm_of_few_joints_has_no_energy_of_its_own(tmp_path):
+    text = "<robot name='short'><link name='l0'/>"
+    for i in range(4):
+        text += (
+            f"<link name='l{i + 1}'/><joint name='j{i}' type='revolute'><parent link='l{i}'/><child link='l{i + 1}'/>"
+            "<origin xyz='0.1 0 0.3'/><axis xyz='0 0 1'/><limit lower='-1' upper='1' velocity='1' effort='1'/></joint>"
+        )
+    (tmp_path / "short.urdf").write_text(text + "</robot>")
+    (tmp_path / "cell.toml").write_text(
+        "schema = 1\n[robot]\nmodel = 'short.urdf'\n[end_effector]\nmodel = 'w'\n[table]\ncenter = [0, 0]\n"
+        "size = [1.8, 1.8]\n[workspace]\nx = [0.25, 0.6]\ny = [-0.4, 0.4]\n"
+    )
+    with pytest.raises(ModelError, match=r"'short' has 4 joints .* plan with refiner 'exact'"):
+        train_arm_energy(load_workcell(tmp_path / "cell.toml"), out=tmp_path / "arm.safetensors")
+
+
+def test_an_arm_below_every_support_says_so(tmp_path):
+    text = BUILT_IN.format(height=0.0, effector="w").replace(
+        "position = [0.0, 0.0, 0.0]", "position = [0.0, 0.0, -3.0]"
+    )
+    (tmp_path / "deep.toml").write_text(text)
+    with pytest.raises(ModelError, match="below the lowest support"):
+        train_arm_energy(load_workcell(tmp_path / "deep.toml"), out=tmp_path / "arm.safetensors", jobs=1)

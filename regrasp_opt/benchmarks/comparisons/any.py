@@ -184,7 +184,7 @@ def scene_rows(name: str, number: int, sizes: AnySizes, session: Session) -> lis
     """Return a row for each pair and planner of a built-in object between obstacles that have just been put there."""
     ways = _builtin_contenders(name)
     for way in ways.values():
-        _ = way.problem.lattice
+        _ = way.problem.free_lattice
     base = ways["arm energy"].problem
     obstacles = random_scene(base, session.rng(8, number))
     pairs, _ = _pairs(base.with_obstacles(obstacles), sizes.pairs, sizes, session, f"scene {number}")

@@ -89,7 +89,7 @@ def arm_rows(name: str, folder: Path, pairs: int, time_limit: float, seed: int, 
         except RegraspError as error:
             rows.append({"body": object_name, "reason": str(error)})
             continue
-        _ = problem.lattice
+        _ = problem.free_lattice
         for pair in instances:
             plan = solve_sequence(problem, pair.start, pair.goal, seed=seed, time_limit=time_limit)
             rows.append({"body": object_name, "pair": pair.name, **outcome(plan, pair), **effort(plan)})
