@@ -93,7 +93,7 @@ def enumerate_transition(checker: FeasibilityChecker, a: PoseFeasibility, b: Pos
         picks.append(q_pick)
         places.append(q_place)
         clearances.append(min(checker.clearance(a.T, grasp_id, q_pick), checker.clearance(b.T, grasp_id, q_place)))
-    assert kept or not len(ids), "no grasp that was verified feasible at both poses has a free pair of configurations"
+    assert kept or not len(ids), "no free pair of configurations for any grasp that was verified at both poses"
     shape = (len(kept), checker.workcell.arm.robot.dof)
     return Transition(
         np.array(kept, dtype=np.int64),
