@@ -42,7 +42,9 @@ Of lattice chains that hold, the least had 1e-3; where a number of regrasps cann
 _WORKERS = 2
 _GRASPS = 50
 """Grasps that are evaluated at once at a placement and yaw, so that a layer stays in the cache."""
-_RANKINGS = 6
+_PORTION = 24
+"""Chains of a ranking whose poses are asked about together, at least."""
+_RANKINGS = 4
 """Times that chains are ranked at most, while poses that are ranked first are still being asked about."""
 _HOPELESS = 10.0
 """Energy above which a grasp need not be asked about: 200 of them are worth a hundredth of a grasp."""
@@ -64,18 +66,21 @@ class PoseLattice:
     xi: FloatArray
     energies: NDArray[np.float32]
     rule: PromiseRule | None = None
+    source: PoseLattice | None = None
     _likelihoods: dict[float, NDArray[np.float32]] = field(default_factory=dict)
 
     def likelihoods(self, alpha: float) -> NDArray[np.float32]:
         """Return ``P = exp(-E / alpha)`` (L, G)."""
         if alpha not in self._likelihoods:
-            self._likelihoods[alpha] = np.exp(-self.energies / np.float32(alpha))
+            if self.source is not None and not self._settled.any():
+                self._likelihoods[alpha] = self.source.likelihoods(alpha).copy()
+            else:
+                self._likelihoods[alpha] = np.exp(-self.energies / np.float32(alpha))
         return self._likelihoods[alpha]
 
     def under(self, rule: PromiseRule) -> PoseLattice:
         """Return a copy for one search that asks `rule`, too: what it learns of poses would change the next search."""
-        known = {alpha: P.copy() for alpha, P in self._likelihoods.items()}
-        return PoseLattice(self.placements, self.xi, self.energies.copy(), rule, known)
+        return PoseLattice(self.placements, self.xi, self.energies.copy(), rule, self)
 
     @cached_property
     def _settled(self) -> BoolArray:
@@ -96,6 +101,8 @@ class PoseLattice:
     @cached_property
     def cells(self) -> IntArray:
         """The coarse cell (L,) of each pose: its placement, a square of three spacings and a quarter turn."""
+        if self.source is not None:
+            return self.source.cells
         x, y = (np.floor(self.xi[:, k] / (3 * SPACING)).astype(np.int64) for k in (0, 1))
         quarter = np.floor(self.xi[:, 2] / (np.pi / 2)).astype(np.int64)
         return np.unique(np.column_stack([self.placements, x, y, quarter]), axis=0, return_inverse=True)[1]
@@ -165,8 +172,9 @@ def lattice_starts(
         ranked = _ranked(lattice, objective, num_regrasps, copy.deepcopy(rng))
         found, known, first = ranked[:0], True, 0
         while len(found) < count and first < len(ranked):
-            portion = _worth(lattice, objective, ranked[first : first + max(count, first)])
-            first += max(count, first)
+            size = max(count, first, 1 if lattice.rule is None else _PORTION)
+            portion = _worth(lattice, objective, ranked[first : first + size])
+            first += size
             if lattice.settle(portion):
                 known, portion = False, _worth(lattice, objective, portion)
             found = np.concatenate([found, portion])
