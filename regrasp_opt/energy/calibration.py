@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.special import expit
-from scipy.stats import rankdata
 
 from regrasp_opt.conventions import BoolArray, FloatArray
 from regrasp_opt.energy.model import EnergyModel
@@ -33,6 +32,8 @@ def average_precision(energy: FloatArray, positive: BoolArray) -> float:
 
 def area_under_roc(energy: FloatArray, positive: BoolArray) -> float:
     """Return the probability that a random positive has a lower energy than a random negative (ties count half)."""
+    from scipy.stats import rankdata  # takes a quarter of a second, and only training asks
+
     ranks = rankdata(-energy)
     count = int(positive.sum())
     negatives = len(positive) - count
