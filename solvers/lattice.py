@@ -44,7 +44,7 @@ _GRASPS = 50
 """Grasps that are evaluated at once at a placement and yaw, so that a layer stays in the cache."""
 _PORTION = 24
 """Chains of a ranking whose poses are asked about together, at least."""
-_RANKINGS = 4
+_RANKINGS = 3
 """Times that chains are ranked at most, while poses that are ranked first are still being asked about."""
 _HOPELESS = 10.0
 """Energy above which a grasp need not be asked about: 200 of them are worth a hundredth of a grasp."""

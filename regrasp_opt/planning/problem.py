@@ -150,8 +150,9 @@ class RegraspProblem(ProblemData):
         WorkcellError
             If a dict has a wrong key or value, a name is taken, or the arm collides with an obstacle at its home.
         """
-        workcell = self.workcell.with_obstacles(as_obstacles(obstacles))
-        hit = collision_at_home(workcell)
+        shapes = as_obstacles(obstacles)
+        workcell = self.workcell.with_obstacles(shapes)
+        hit = collision_at_home(workcell, {shape.name for shape in shapes})
         if hit is not None:
             raise WorkcellError(
                 f"'{hit[0]}' collides with '{hit[1]}', or is nearer than its clearance, while the robot is at home; "

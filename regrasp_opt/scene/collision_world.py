@@ -8,7 +8,7 @@ the arm's own. The tool may touch what turns with the flange.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from enum import Enum, auto
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -156,8 +156,14 @@ def _apart(bodies: Sequence[int], others: Sequence[int], clearance: float) -> li
     return [(i, j, clearance) for i in bodies for j in others]
 
 
-def collision_at_home(workcell: Workcell) -> tuple[str, str] | None:
-    """Return the names of two bodies that collide while the robot rests at home, the jaw wide open, or None."""
+def collision_at_home(workcell: Workcell, among: Collection[str] | None = None) -> tuple[str, str] | None:
+    """Return the names of two bodies that collide while the robot rests at home, the jaw wide open, or None.
+
+    Parameters
+    ----------
+    among : collection of str, optional
+        Names of obstacles: only these are tested, against the arm.
+    """
     world, arm = CollisionWorld(workcell), workcell.arm
     frames = [np.eye(4), *arm.T_world_base @ arm.robot.link_transforms(arm.robot.home)]
     poses = [body.pose for body in world.bodies]
@@ -165,7 +171,10 @@ def collision_at_home(workcell: Workcell) -> tuple[str, str] | None:
         poses[i] = T
     joints = [body.joint for body in world.bodies]
     placed = [(solid, frames[j] @ T) for solid, j, T in zip(world.solids, joints, poses, strict=True)]
+    asked = None if among is None else {i for i in world.obstacles if world.bodies[i].label in among}
     for i, j, clearance in world.pairs(ContactPhase.HOME):
+        if asked is not None and j not in asked:
+            continue
         (a, T_a), (b, T_b) = placed[i], placed[j]
         if distance(a, b, T_a, T_b) <= clearance:
             return world.bodies[i].label, world.bodies[j].label
