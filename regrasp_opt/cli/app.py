@@ -16,7 +16,7 @@ import typer
 
 from regrasp_opt.cli import interrupts
 from regrasp_opt.cli.completion import EXPERIMENTS, OBJECTS, REFINERS, names, stored
-from regrasp_opt.errors import RegraspError
+from regrasp_opt.errors import OptionError, RegraspError
 from regrasp_opt.files import data_home
 
 logger = logging.getLogger(__name__)
@@ -167,8 +167,14 @@ def plan(
     return run_plan(problem, start, goal, search, out=out, html=html, as_json=json)
 
 
+def _was_given(context: typer.Context, name: str) -> bool:
+    source = context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
+
+
 @app.command()
 def prepare(
+    context: typer.Context,
     workcell: Annotated[
         str,
         typer.Argument(
@@ -201,6 +207,11 @@ def prepare(
 
     regrasp-opt prepare nova2-w --object part.stl
     """
+    foreign = ("samples", "grasps", "scale", "repair", "thickness") if object is None else ("poses",)
+    given = next((name for name in foreign if _was_given(context, name)), None)
+    if given is not None:
+        other = "an arm; omit it, or give --object" if object is None else "an object; omit it, or omit --object"
+        raise OptionError(f"--{given} has no meaning for the energy of {other}")
     from regrasp_opt.cli.prepare import run_prepare, run_prepare_object
     from regrasp_opt.objects import load_object
     from regrasp_opt.scene import load_workcell
