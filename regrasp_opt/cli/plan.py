@@ -35,7 +35,9 @@ def run_plan(
     as_json: bool,
 ) -> int:
     """Plan with the options `search` of `solve_sequence`, print and save; return 0 if solved, else 1."""
-    exact = search["refiner"] == EXACT or as_recipe(search["refiner"]) is None
+    exact = search["refiner"] == EXACT
+    if not exact:
+        as_recipe(search["refiner"])  # an unknown name is refused before anything is trained for it
     with working("drawing a task", None):
         task = _task(problem, start, goal, search["seed"])
     if not exact and problem.energy_file is None:

@@ -101,8 +101,8 @@ def rejected_placements(mesh: trimesh.Trimesh, min_margin: float = LEAST_MARGIN)
 class _Facets(NamedTuple):
     """The hull's facets, the numbers of those that belong to the support of each, and the margins (F,).
 
-    Margins below what was asked for are not measured; how far the support reaches in one direction, which is no less,
-    stands for them. Few supports of a round body reach beyond the point below its centre of mass.
+    A margin that cannot reach what was asked for is not measured exactly: an upper bound takes its place, the reach of
+    the support in one direction. This is what makes round bodies quick: few of their supports reach that far.
     """
 
     hull: Hull

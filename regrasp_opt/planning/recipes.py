@@ -99,25 +99,17 @@ class Recipe:
             N, the number of intermediate poses.
         rng : Generator
         """
-        points = self._start_points(lattice, objective, num_regrasps, rng)
+        wanted = sum(self.batches)
+        if self.starts == "lattice":
+            points = lattice_starts(lattice(), objective, num_regrasps, wanted, rng)
+        elif self.starts == "random":
+            points = random_starts(objective, num_regrasps, wanted, rng)
+        else:
+            samples = random_starts(objective, num_regrasps, max(wanted, LANGEVIN_SAMPLES), rng)
+            points = LangevinRefiner().refine(objective, samples, rng).candidates.best(wanted)
         if self.warm is None or not len(points):
             return points
         return self.warm.refine(objective, points, rng).candidates.best(len(points))
-
-    def _start_points(
-        self,
-        lattice: Callable[[], PoseLattice],
-        objective: SequenceObjective,
-        num_regrasps: int,
-        rng: np.random.Generator,
-    ) -> Candidates:
-        wanted = sum(self.batches)
-        if self.starts == "lattice":
-            return lattice_starts(lattice(), objective, num_regrasps, wanted, rng)
-        if self.starts == "random":
-            return random_starts(objective, num_regrasps, wanted, rng)
-        samples = random_starts(objective, num_regrasps, max(wanted, LANGEVIN_SAMPLES), rng)
-        return LangevinRefiner().refine(objective, samples, rng).candidates.best(wanted)
 
 
 def paper_recipe(k_top: int) -> Recipe:
