@@ -50,7 +50,7 @@ CAPTIONS = (
 def solve() -> RegraspPlan:
     """Return the plan of the pictures: a bottle that lies on one side is to lie on the next."""
     problem = RegraspProblem.load("bottle", "nova2-w")
-    ends = [parse_pose(text, "pose", problem.placement_poses) for text in (START, GOAL)]
+    ends = [parse_pose(text, "pose", problem) for text in (START, GOAL)]
     return solve_sequence(problem, *ends)
 
 
@@ -146,7 +146,7 @@ def photograph_candidates(browser: webdriver.Chrome, plan: RegraspPlan, trace: C
 
 def draw_sweep(problem: RegraspProblem) -> Figure:
     """Return a picture of the costs while the intermediate pose moves from the goal to the start (Fig. 5)."""
-    ends = [parse_pose(text, "pose", problem.placement_poses) for text in SWEPT]
+    ends = [parse_pose(text, "pose", problem) for text in SWEPT]
     curves = tables.grouped(sweep(problem, Instance("sweep", *ends, None)), "grasps")
     figure, axes = plt.subplots(1, 4, figsize=(13, 3.2), layout="constrained", sharex=True)
     for ax, (cost, name) in zip(axes, COST_NAMES.items(), strict=False):

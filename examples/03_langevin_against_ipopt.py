@@ -22,8 +22,7 @@ STARTS = 8
 
 def write_plot(problem: RegraspProblem, task: Task, path: str) -> None:
     ends = [exact_energy(problem.feasible_grasps(T)) for T in (task.start, task.goal)]
-    bounds = problem.workcell.bounds.array
-    objective = SequenceObjective(problem.energy, problem.placement_poses, *ends, bounds, CostOptions())
+    objective = SequenceObjective(problem.energy, problem.rests.planar, *ends, CostOptions())
     starts = random_starts(objective, 1, STARTS, np.random.default_rng(0))
     figure = go.Figure()
     for refiner, color in ((LangevinRefiner(), "orange"), (NlpRefiner(), "teal")):

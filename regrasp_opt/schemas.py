@@ -45,11 +45,21 @@ def read_toml(text: str, schema: type[File], where: str) -> File:
     WorkcellError
         If it is not valid TOML or does not fit the schema.
     """
+    return validated(parse_toml(text, where), schema, where, WorkcellError)
+
+
+def parse_toml(text: str, where: str) -> dict[str, Any]:
+    """Return the TOML document `text`, which comes from `where`.
+
+    Raises
+    ------
+    WorkcellError
+        If it is not valid TOML.
+    """
     try:
-        data = tomllib.loads(text)
+        return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise WorkcellError(f"{where} is not valid TOML: {error}") from error
-    return validated(data, schema, where, WorkcellError)
 
 
 def read_json(path: Path, what: str) -> Any:

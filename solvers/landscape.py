@@ -1,8 +1,8 @@
 """`J_seq` with its gradient for batches of sequences, as Langevin dynamics walks on it, in torch or in NumPy.
 
 Both work in single precision and with the grasps that can matter. torch takes large batches, on a GPU too; NumPy takes
-a few sequences without importing torch. The first layer is affine in (1, cos, sin) of the yaw at each placement and in
-x and y.
+a few sequences without importing torch. The first layer is affine in (1, cos, sin) of the yaw and in x and y at
+each placement.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ class NumPyLandscape:
         self.model, self.options = energy.model, objective.options
         self.ids = objective.useful_grasps(num_regrasps)
         self.grasps = len(self.ids)
-        planar = [energy.planar_layer(T_p, self.ids) for T_p in objective.placements]
+        planar = energy.planar_layers(objective.placements, self.ids)
         parts = np.array([[layer.constant.T, layer.cosine.T, layer.sine.T] for layer in planar])
         self.first = parts.astype(np.float32)  # (S, 3, A, H)
-        self.shift = np.hstack([planar[0].dx, planar[0].dy]).astype(np.float32)  # (H, 2)
+        self.shift = np.array([np.hstack([layer.dx, layer.dy]) for layer in planar]).astype(np.float32)  # (S, H, 2)
         self.ends = np.stack([objective.start_energy[self.ids], objective.goal_energy[self.ids]])
 
     def __call__(self, placements: IntArray, xi: FloatArray, blocked: BoolArray) -> tuple[FloatArray, FloatArray]:
@@ -57,7 +57,9 @@ class NumPyLandscape:
         yaw = xi[..., 2, None, None].astype(np.float32)
         constant, cosine, sine = np.moveaxis(self.first[placements], 2, 0)  # (B, N, A, H) each
         c, s = np.cos(yaw), np.sin(yaw)
-        z = constant + c * cosine + s * sine + (xi[..., :2].astype(np.float32) @ self.shift.T)[..., None, :]
+        shift = self.shift[placements]  # (B, N, H, 2)
+        moved = (shift @ xi[..., :2, None].astype(np.float32))[..., 0]
+        z = constant + c * cosine + s * sine + moved[..., None, :]
         slopes, layers = [], self.model.layers
         for W, b in layers:
             a, slope = activate_with_slope(self.model.activation, z)
@@ -74,7 +76,7 @@ class NumPyLandscape:
         for (W, _), slope in zip(reversed(layers), reversed(slopes), strict=True):
             back = (back @ W) * slope
         turn = (back * (c * sine - s * cosine)).sum(axis=(2, 3))
-        move = back.sum(axis=2) @ self.shift
+        move = (back.sum(axis=2)[..., None, :] @ shift)[..., 0, :]
         return sequence_cost(energies, self.options), np.concatenate([move, turn[..., None]], axis=-1).astype(
             np.float64
         )
@@ -95,10 +97,9 @@ class TorchLandscape:
         self.grasps = len(self.ids)
         self.model, self.network = model, TorchNetwork()
         self.ends = tensor(np.stack([objective.start_energy[self.ids], objective.goal_energy[self.ids]]))
-        planar = [energy.planar_layer(T_p, self.ids) for T_p in objective.placements]
-        rows = [part for layer in planar for part in (layer.constant, layer.cosine, layer.sine)]
-        rows += [np.broadcast_to(shift, rows[0].shape) for shift in (planar[0].dx, planar[0].dy)]
-        self.first = tensor(np.stack([row.T.ravel() for row in rows]))  # (3 S + 2, A H)
+        planar = energy.planar_layers(objective.placements, self.ids)
+        rows = [np.broadcast_to(part, planar[0].constant.shape) for layer in planar for part in layer]
+        self.first = tensor(np.stack([row.T.ravel() for row in rows]))  # (5 S, A H)
         self.of_placement = torch.eye(len(planar), device=device)
         self.layers = [(tensor(W), tensor(b)) for W, b in model.layers]
 
@@ -119,9 +120,9 @@ class TorchLandscape:
         import torch
 
         yaw = xi[..., 2]
-        turned = torch.stack([torch.ones_like(yaw), torch.cos(yaw), torch.sin(yaw)], dim=-1)
-        own = (self.of_placement[placements][..., None] * turned[..., None, :]).flatten(-2)  # (B, N, 3 S)
-        z = torch.cat([own, xi[..., :2]], dim=-1) @ self.first
+        moved = torch.stack([torch.ones_like(yaw), torch.cos(yaw), torch.sin(yaw), xi[..., 0], xi[..., 1]], dim=-1)
+        own = (self.of_placement[placements][..., None] * moved[..., None, :]).flatten(-2)  # (B, N, 5 S)
+        z = own @ self.first
         z = z.unflatten(-1, (self.grasps, -1))
         learned: torch.Tensor = evaluate(self.network, self.layers, self.model.activation, self.model.bounded, z)[
             ..., 0

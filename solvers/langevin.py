@@ -16,12 +16,15 @@ import numpy as np
 from regrasp_opt.connectivity import SequenceObjective
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.errors import OptionError
-from regrasp_opt.solvers.base import Candidates, Refinement, keep_better, wrap_yaw
+from regrasp_opt.solvers.base import Candidates, Refinement, keep_better
 from regrasp_opt.solvers.landscape import Landscape, NumPyLandscape, TorchLandscape
 from regrasp_opt.threads import one_torch_thread
 
 NUMPY = "numpy"
 """The device without torch."""
+
+_FIXED = 1e-12
+"""Half the range of a parameter that is fixed, as in a fixture."""
 
 _CHUNK_ELEMENTS = 1 << 20
 """Hidden units of one layer that a chunk of chains holds at once on a processor: 4 MB, which its cache can hold."""
@@ -85,8 +88,9 @@ class LangevinRefiner:
                 parts.append(xi)
                 traces.append(trace)
                 paths += path
-        xi = wrap_yaw(np.concatenate(parts)) if parts else np.array(starts.xi)
-        xi[..., :2] = np.clip(xi[..., :2], *objective.bounds)  # scaling may leave them by rounding
+        planar, on = objective.placements, starts.placements
+        xi = planar.wrapped(on, np.concatenate(parts)) if parts else np.array(starts.xi)
+        xi = np.clip(xi, planar.low[on], planar.high[on])  # scaling may leave them by rounding
         if self.keep_best:
             refined = keep_better(objective, starts, xi)
         else:
@@ -114,8 +118,11 @@ class LangevinRefiner:
         self, landscape: Landscape, objective: SequenceObjective, starts: Candidates, rng: np.random.Generator
     ) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
         """Return where the chains end (B, N, 3), their costs (K+1, B), and their points (K+1, N, 3) if recorded."""
-        low, high = objective.bounds
-        center, scale = np.append((low + high) / 2, 0.0), np.append((high - low) / 2, np.pi)
+        low, high = objective.placements.low[starts.placements], objective.placements.high[starts.placements]
+        free = ~np.isfinite(high)
+        low, high = (np.where(free, side, limit) for side, limit in ((-np.pi, low), (np.pi, high)))
+        center, scale = (low + high) / 2, np.maximum((high - low) / 2, _FIXED)
+        most = np.where(free, np.inf, 1.0)
         xi, blocked = starts.xi, objective.ruled_out(starts.placements, starts.xi)
         best, best_cost = xi.copy(), np.full(len(xi), np.inf)
         trace, points = [], []
@@ -131,7 +138,7 @@ class LangevinRefiner:
             tau = self.tau * (1 - k / self.iterations) if self.anneal else self.tau
             u = (xi - center) / scale
             u = u - self.eta * gradient * scale + np.sqrt(2 * self.eta * tau) * rng.standard_normal(u.shape)
-            u[..., :2] = np.clip(u[..., :2], -1, 1)
+            u = np.clip(u, -most, most)
             xi = u * scale + center
         found = best if self.keep_best else xi
         return found, np.array(trace), list(np.stack(points, axis=1)) if points else []

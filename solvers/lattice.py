@@ -21,9 +21,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from regrasp_opt.connectivity import BLOCKED, Rule, SequenceObjective, block, sequence_cost
+from regrasp_opt.connectivity import BLOCKED, Rule, SequenceObjective, block
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
 from regrasp_opt.energy.model import GraspEnergy
+from regrasp_opt.geometry.planar_poses import PlanarPoses
 from regrasp_opt.solvers.base import Candidates, Refinement
 
 SPACING = 0.06
@@ -108,43 +109,47 @@ class PoseLattice:
         return np.unique(np.column_stack([self.placements, x, y, quarter]), axis=0, return_inverse=True)[1]
 
     @staticmethod
-    def build(energy: GraspEnergy, placements: FloatArray, bounds: FloatArray, rule: Rule | None = None) -> PoseLattice:
-        """Evaluate `energy` on the lattice over `bounds` (2, 2) and `placements` (S, 4, 4).
+    def build(energy: GraspEnergy, placements: PlanarPoses, rule: Rule | None = None) -> PoseLattice:
+        """Evaluate `energy` on the lattice over the `placements` and their limits.
 
         Grasps that `rule` rules out are `BLOCKED`; where it does so at all positions of a placement and yaw, the energy
         is not evaluated.
         """
-        numbers, xi = lattice_poses(len(placements), bounds)
+        numbers, xi = lattice_poses(placements)
         ruled_out = np.zeros((len(xi), len(energy)), dtype=bool) if rule is None else rule(numbers, xi)
-        shape = len(placements), -1, YAWS
         energies = np.full(ruled_out.shape, BLOCKED, dtype=np.float32)
-        grid, closed = energies.reshape(*shape, len(energy)), ruled_out.reshape(*shape, len(energy))
-        xy, yaws = xi.reshape(*shape, 3)[0, :, 0, :2], xi[:YAWS, 2]
+        edges, layers = np.searchsorted(numbers, np.arange(len(placements) + 1)), energy.planar_layers(placements)
 
         def evaluate(number: int) -> None:
-            layer = energy.planar_layer(placements[number])
-            shift = (xy @ np.hstack([layer.dx, layer.dy]).T).astype(np.float32)  # (P, H)
-            for k, yaw in enumerate(yaws):
-                kept = np.flatnonzero(~closed[number, :, k].all(axis=0))
+            layer, part = layers[number], slice(*edges[number : number + 2])
+            yaws = int(np.unique(xi[part, 2]).size)
+            grid, found, closed = (each[part].reshape(-1, yaws, each.shape[1]) for each in (xi, energies, ruled_out))
+            shift = (grid[:, 0, :2] @ np.hstack([layer.dx, layer.dy]).T).astype(np.float32)  # (P, H)
+            for k, yaw in enumerate(grid[0, :, 2]):
+                kept = np.flatnonzero(~closed[:, k].all(axis=0))
                 turned = layer.constant + np.cos(yaw) * layer.cosine + np.sin(yaw) * layer.sine  # (H, G)
                 for first in range(0, len(kept), _GRASPS):
-                    part = kept[first : first + _GRASPS]
-                    z = turned[:, part].T.astype(np.float32) + shift[:, None]  # (P, g, H)
-                    found = energy.after_first_layer(z.reshape(-1, z.shape[2]))
-                    grid[number, :, k, part] = found.reshape(len(xy), -1).T
+                    some = kept[first : first + _GRASPS]
+                    z = turned[:, some].T.astype(np.float32) + shift[:, None]  # (P, g, H)
+                    value = energy.after_first_layer(z.reshape(-1, z.shape[2]))
+                    found[:, k, some] = value.reshape(len(grid), -1)
 
         with ThreadPoolExecutor(_WORKERS) as pool:
             list(pool.map(evaluate, range(len(placements))))
         return PoseLattice(numbers, xi, block(energies, ruled_out))
 
 
-def lattice_poses(num_placements: int, bounds: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return placement numbers (L,) and planar parameters (L, 3) of a regular lattice over `bounds` (2, 2)."""
-    low, high = bounds
-    axes = [_centred(a, b) for a, b in zip(low, high, strict=True)]
-    yaw = np.arange(YAWS) * (2 * np.pi / YAWS)
-    grid = np.meshgrid(np.arange(num_placements), *axes, yaw, indexing="ij")
-    return grid[0].ravel(), np.stack([g.ravel() for g in grid[1:]], axis=1)
+def lattice_poses(placements: PlanarPoses) -> tuple[IntArray, FloatArray]:
+    """Return placement numbers (L,) and planar parameters (L, 3) of a regular lattice within the limits."""
+    grids = [_grid(*limits) for limits in zip(placements.low, placements.high, strict=True)]
+    return np.repeat(np.arange(len(grids)), list(map(len, grids))), np.concatenate(grids)
+
+
+def _grid(low: FloatArray, high: FloatArray) -> FloatArray:
+    """Return planar parameters (P, 3); the yaws of a position follow each other."""
+    x, y = (_centred(a, b) for a, b in zip(low[:2], high[:2], strict=True))
+    yaw = low[2:] if np.isfinite(low[2]) else np.arange(YAWS) * (2 * np.pi / YAWS)
+    return np.stack(np.meshgrid(x, y, yaw, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def _centred(low: float, high: float) -> FloatArray:
@@ -181,8 +186,9 @@ def lattice_starts(
         if known:  # what was ranked first is what it seemed to be
             break
     found = found[:count]
-    energies = objective.chain(lattice.energies[found].astype(np.float64))
-    return Candidates(lattice.placements[found], lattice.xi[found], sequence_cost(energies, objective.options))
+    numbers = lattice.placements[found]
+    cost = objective.sequence_cost(numbers, lattice.energies[found].astype(np.float64))
+    return Candidates(numbers, lattice.xi[found], cost)
 
 
 def _ranked(
@@ -193,10 +199,13 @@ def _ranked(
     P = lattice.likelihoods(alpha)
     reach = [P @ np.exp(-end / alpha).astype(np.float32) for end in (objective.start_energy, objective.goal_energy)]
     from_start, to_goal = (shared_cost(mass) for mass in reach)
+    weights = objective.placements.weights[lattice.placements]
     if num_regrasps == 1:
         chains, cost = np.arange(len(P))[:, None], from_start + to_goal
     else:
         chains, cost = _chains(P, from_start, to_goal, num_regrasps, rng)
+    if weights.any():
+        cost = cost + weights[chains].sum(axis=1)
     ranked = chains[np.argsort(cost, kind="stable")[:RANKED]]
     return ranked[_different(lattice.cells[ranked])]
 

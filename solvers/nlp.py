@@ -19,7 +19,7 @@ from regrasp_opt.connectivity.casadi_costs import layers_parameter
 from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.energy.casadi_energy import CasadiEnergy
 from regrasp_opt.energy.model import GraspEnergy
-from regrasp_opt.solvers.base import Candidates, Refinement, keep_better, wrap_yaw
+from regrasp_opt.solvers.base import Candidates, Refinement, keep_better
 from regrasp_opt.solvers.nlp_solver import lock
 from regrasp_opt.solvers.options import ProgramOptions
 from regrasp_opt.solvers.program import SequenceProgram
@@ -59,8 +59,9 @@ class NlpRefiner:
                 ids, ends = _active_grasps(objective, placements, xi)
                 blocked = objective.ruled_out(placements, xi)
                 program = self._program(objective, len(xi), len(ids))
-                layers = layers_parameter(objective.energy, objective.placements[placements], ids)
-                solves.append(program.solve(xi, layers, blocked[:, ids], ends, objective.bounds))
+                planar = objective.placements[placements]
+                layers = layers_parameter(objective.energy, planar, ids)
+                solves.append(program.solve(xi, layers, blocked[:, ids], ends, (planar.low, planar.high)))
                 grasps.append(len(ids))
         xi = np.array([solve.xi for solve in solves]).reshape(starts.xi.shape)
         status = tuple(solve.status for solve in solves)
@@ -73,7 +74,7 @@ class NlpRefiner:
             "evaluations": sum(solve.evaluations for solve in solves),
             "statuses": {name: status.count(name) for name in sorted(set(status))},
         }
-        refined = keep_better(objective, starts, wrap_yaw(xi))
+        refined = keep_better(objective, starts, objective.placements.wrapped(starts.placements, xi))
         paths = tuple(solve.path for solve in solves) if self.program.record else ()
         return Refinement(refined, status, tuple(solve.trace for solve in solves), stats, paths)
 

@@ -19,7 +19,7 @@ from regrasp_opt.errors import OptionError
 from regrasp_opt.solvers.options import ProgramOptions
 from regrasp_opt.solvers.regrasp_nlp import RegraspNLP
 
-_ANYWHERE = np.array([[-np.inf, -np.inf], [np.inf, np.inf]])
+_ANYWHERE = np.array([[-np.inf], [np.inf]])
 
 
 class Solve(NamedTuple):
@@ -60,14 +60,19 @@ class SequenceProgram:
         self._solver = nlp.solver(settings)
 
     def solve(
-        self, xi: FloatArray, layers: FloatArray, blocked: BoolArray, ends: FloatArray, bounds: FloatArray
+        self,
+        xi: FloatArray,
+        layers: FloatArray,
+        blocked: BoolArray,
+        ends: FloatArray,
+        bounds: tuple[FloatArray, FloatArray],
     ) -> Solve:
-        """Solve from `xi` (N, 3) with the parameters of `parametric_functions` within the workspace `bounds` (2, 2).
+        """Solve from `xi` (N, 3) with the parameters of `parametric_functions` within `bounds`, low and high (N, 3).
 
-        `layers` is (H, 3 G N), `blocked` (N, G) and `ends` (G, 2), the energies at start and goal. The start is
+        `layers` is (H, (3 G + 2) N), `blocked` (N, G) and `ends` (G, 2), the energies at start and goal. The start is
         returned where the solver finds nothing cheaper, or ends outside the constraints.
         """
-        low, high = (np.tile(np.append(side, e), len(xi)) for side, e in zip(bounds, (-np.inf, np.inf), strict=True))
+        low, high = (side.ravel() for side in bounds)
         x0 = np.clip(xi.ravel(), low, high)
         start_cost = float(self._functions.J_seq(x0.reshape(-1, 3), layers, blocked.T, *ends.T))
         packed = np.concatenate([layers.T.ravel(), blocked.ravel(), ends.T.ravel()])

@@ -1,7 +1,7 @@
 """The search for intermediate poses as a nonlinear program that can be extended before it is solved.
 
 minimise    J_seq(xi) + own costs                       (Eq. 5)
-subject to  low <= (x_i, y_i) <= high                   for each intermediate pose
+subject to  low_i <= xi_i <= high_i                     for each intermediate pose
             own constraints
 
 ``xi`` (N, 3) is the first block of the variables ``x``. Own variables, parameters, costs and constraints are CasADi
@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from regrasp_opt.connectivity.casadi_costs import ConnectivityFunctions
-from regrasp_opt.conventions import FloatArray
 from regrasp_opt.errors import OptionError
 from regrasp_opt.solvers.nonlinear_program import NonlinearProgram
 
@@ -42,8 +41,8 @@ class RegraspNLP(NonlinearProgram):
     ----------
     functions : ConnectivityFunctions
         Of ``xi`` (N, 3) and any further inputs, which become parameters.
-    bounds : (2, 2)
-        Corners ``[[x_low, y_low], [x_high, y_high]]`` of the workspace [m].
+    bounds : pair of (N, 3)
+        Least and largest planar parameters [m, m, rad] of each pose; anything that broadcasts to it.
     guess : (N, 3)
         Planar parameters [m, m, rad] to start from.
     values : mapping, optional
@@ -63,7 +62,7 @@ class RegraspNLP(NonlinearProgram):
     def __init__(
         self,
         functions: ConnectivityFunctions,
-        bounds: FloatArray,
+        bounds: Any,
         guess: ArrayLike,
         values: Mapping[str, ArrayLike] | None = None,
     ) -> None:
@@ -74,7 +73,7 @@ class RegraspNLP(NonlinearProgram):
         if start.shape != (count, 3) or not np.isfinite(start).all():
             raise OptionError(f"the guess has shape {start.shape}; give {count} finite rows (x, y, theta)")
         self.functions = functions
-        low, high = (np.append(side, free) for side, free in zip(bounds, (-np.inf, np.inf), strict=True))
+        low, high = (np.broadcast_to(side, (count, 3)) for side in bounds)
         self.xi = self.variable("xi", (count, 3), lower=low, upper=high, guess=start)
         given = dict(values or {})
         self._inputs = [

@@ -15,6 +15,7 @@ from regrasp_opt import load_object, load_workcell
 from regrasp_opt.end_effectors import load_end_effector
 from regrasp_opt.energy.storage import load_energy
 from regrasp_opt.errors import MeshError, ModelError, PoseError, WorkcellError
+from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.planning.pose_text import parse_pose
 from regrasp_opt.robots import load_robot
 
@@ -46,7 +47,7 @@ def test_names_that_no_file_can_have_are_refused(name, tmp_path):
         with pytest.raises(error, match=r"does not exist|cannot be read"):
             load(name.encode().decode("unicode_escape") + suffix)
     with pytest.raises(PoseError):
-        parse_pose(LONG, "start", [])
+        parse_pose(LONG, "start", RegraspProblem.load("bottle", "nova2-w"))
 
 
 @pytest.mark.parametrize("value", ["[" * 5000, "9" * 5000], ids=["nested", "digits"])

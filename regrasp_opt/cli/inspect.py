@@ -22,6 +22,7 @@ from regrasp_opt.planning.inspection import (
     describe_object,
     describe_workcell,
 )
+from regrasp_opt.planning.rests import Rests
 from regrasp_opt.scene import Workcell, load_workcell
 
 
@@ -77,16 +78,14 @@ def _show(data: dict[str, Any], html: Path | None) -> None:
 
 
 def _problem(model: ObjectModel | None, workcell: Workcell | None) -> RegraspProblem | None:
-    if model is None or workcell is None or not model.placements:
+    if model is None or workcell is None or not len(Rests.of(model, workcell)):
         return None
     with working("looking for grasps"):
         return RegraspProblem.load(model, workcell)
 
 
 def _show_workcell(console: Console, cell: dict[str, Any]) -> None:
-    robot, effector, table = cell["robot"], cell["end_effector"], cell["table"]
-    length, width = table["size"]
-    (x_low, x_high), (y_low, y_high) = (cell["workspace"][axis] for axis in "xy")
+    robot, effector = cell["robot"], cell["end_effector"]
     _heading(console, f"workcell {cell['name']}", cell["source"])
     _show_robot(console, robot)
     holds = (
@@ -100,10 +99,21 @@ def _show_workcell(console: Console, cell: dict[str, Any]) -> None:
         ("end-effector", f"{effector['name']}, {effector['kind']}: {holds}"),
         ("its TCP", f"{_mm(effector['tcp_offset'])} from the flange"),
         ("its bodies", counted_bodies(effector["bodies"])),
-        ("table", f"top at z = {table['height']:g}, {length:g} x {width:g} m around {_point(table['center'])}"),
+        *(("support", _support(support)) for support in cell["supports"]),
         *(("obstacle", f"{o['name']}: {counted_bodies([o])} at {_point(o['position'])}") for o in cell["obstacles"]),
-        ("workspace", f"x [{x_low:g}, {x_high:g}], y [{y_low:g}, {y_high:g}] m"),
         ("clearance", ", ".join(f"{name.replace('_', '-')} {_mm(d)}" for name, d in cell["clearance"].items())),
+    )
+
+
+def _support(support: dict[str, Any]) -> str:
+    if "poses" in support:
+        return f"{support['name']}: a fixture at z = {support['height']:g}, which holds {', '.join(support['poses'])}"
+    (x_low, x_high), (y_low, y_high) = (support["workspace"][axis] for axis in "xy")
+    length, width = support["size"]
+    tilt = f", tilted by {support['tilt']:.1f} degrees" if support["tilt"] else ""
+    return (
+        f"{support['name']}: top at z = {support['height']:g}, {length:g} x {width:g} m around "
+        f"{_point(support['center'])}{tilt}; objects at x [{x_low:g}, {x_high:g}], y [{y_low:g}, {y_high:g}] m"
     )
 
 

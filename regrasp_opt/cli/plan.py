@@ -47,7 +47,7 @@ def run_plan(
         logger.warning(TRAINING_SAID, arm.robot.name, arm.end_effector.name)
         with progress() as show:
             train_arm_energy(problem.workcell, progress=show)
-    logger.info("%d grasps, %d placements", len(problem.grasps), len(problem.placements))
+    logger.info("%d grasps, %d placements", len(problem.grasps), len(problem.rests))
     with working(f"planning up to {search['max_regrasps']} regrasp(s)", search["time_limit"]):
         plan = solve_sequence(problem, task.start, task.goal, **search)
     for tried in plan.refiner_stats:
@@ -68,8 +68,7 @@ def run_plan(
 
 def _task(problem: RegraspProblem, start: str | None, goal: str | None, seed: int) -> Task:
     T_start, T_goal = (
-        None if text is None else parse_pose(text, name, problem.placement_poses)
-        for name, text in (("start", start), ("goal", goal))
+        None if text is None else parse_pose(text, name, problem) for name, text in (("start", start), ("goal", goal))
     )
     if T_start is not None and T_goal is not None:
         return Task(T_start, T_goal, -1)
@@ -94,7 +93,7 @@ def _print(plan: RegraspPlan, written: list[Path]) -> None:
         table = plain_table("move", "from", "to", "shared grasps", "clearance [mm]", right=2)
         for i, transition in enumerate(plan.transitions):
             clearance = f"{1e3 * transition.clearance.max():.1f}"
-            ends = [describe_pose(T, problem.placement_poses) for T in plan.poses[i : i + 2]]
+            ends = [describe_pose(T, problem) for T in plan.poses[i : i + 2]]
             table.add_row(str(i), *ends, str(len(transition.grasp_ids)), clearance)
         console.print(table)
     for path in written:

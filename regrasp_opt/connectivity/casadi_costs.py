@@ -31,6 +31,7 @@ from regrasp_opt.energy.casadi_blocks import (
 from regrasp_opt.energy.casadi_energy import Blas, CasadiEnergy
 from regrasp_opt.energy.casadi_function import by_adjoint, by_jacobian
 from regrasp_opt.energy.model import GraspEnergy, PlanarLayer
+from regrasp_opt.geometry.planar_poses import PlanarPoses
 
 INPUT: Literal["input"] = "input"
 """Stands for an end or a mask that is an input of the functions instead of a constant."""
@@ -216,14 +217,14 @@ def _interleaved(blocks: list[Any]) -> Any:
 
 
 def planar_functions(
-    energy: GraspEnergy, options: CostOptions, ends: ChainEnds, placements: FloatArray, blas: Blas = "classic"
+    energy: GraspEnergy, options: CostOptions, ends: ChainEnds, placements: PlanarPoses, blas: Blas = "classic"
 ) -> ConnectivityFunctions:
-    """Return the functions of ``xi`` (N, 3), planar parameters [m, m, rad] at `placements` (N, 4, 4)."""
+    """Return the functions of ``xi`` (N, 3), planar parameters [m, m, rad] at N `placements`."""
     xi = ca.MX.sym("xi", 3, len(placements))
 
     def make(ids: IntArray, tangents: bool) -> list[PoseEnergy]:
         expressions = CasadiEnergy(energy.model, len(ids), blas)
-        layers = [expressions.layer(energy.planar_layer(T, ids)) for T in placements]
+        layers = [expressions.layer(layer) for layer in energy.planar_layers(placements, ids)]
         return [planar_energy(expressions, layer, xi[:, i], tangents=tangents) for i, layer in enumerate(layers)]
 
     return ConnectivityFunctions(_planar({"xi": xi}, make), len(energy), options, ends)
@@ -250,7 +251,7 @@ def pose_functions(
 def parametric_functions(
     energy: CasadiEnergy, options: CostOptions, num_regrasps: int, *, blocking: bool = False
 ) -> ConnectivityFunctions:
-    """Return the functions of ``xi`` (N, 3), ``layers`` (H, 3 G N), ``start`` and ``goal`` (G, 1).
+    """Return the functions of ``xi`` (N, 3), ``layers`` (H, (3 G + 2) N), ``start`` and ``goal`` (G, 1).
 
     They are differentiable in ``xi`` only; `layers_parameter` makes ``layers``. With `blocking`, ``blocked`` (G, N)
     follows ``layers``: 1 for grasps known to be infeasible at a pose, 0 for others.
@@ -285,15 +286,15 @@ def plain_sequence_cost(energy: CasadiEnergy, options: CostOptions, num_regrasps
     return ca.Function("J_seq_plain", [xi, packed, *ends], [cost], ["xi", "layers", "start", "goal"], ["J"])
 
 
-def layers_parameter(energy: GraspEnergy, placements: FloatArray, grasp_ids: Any = slice(None)) -> FloatArray:
-    """Return the ``layers`` input (H, 3 G N) of the chosen grasps at `placements` (N, 4, 4)."""
-    layers = [np.concatenate(energy.planar_layer(T, grasp_ids)[:3], axis=1) for T in placements]
+def layers_parameter(energy: GraspEnergy, placements: PlanarPoses, grasp_ids: Any = slice(None)) -> FloatArray:
+    """Return the ``layers`` input (H, (3 G + 2) N) of the chosen grasps at N `placements`."""
+    layers = [np.concatenate(layer, axis=1) for layer in energy.planar_layers(placements, grasp_ids)]
     return np.concatenate(layers, axis=1) if layers else np.zeros((energy.model.hidden, 0))
 
 
 def _layers_symbol(energy: CasadiEnergy, num_regrasps: int) -> Any:
-    return ca.MX.sym("layers", energy.model.hidden, 3 * energy.count * num_regrasps)
+    return ca.MX.sym("layers", energy.model.hidden, (3 * energy.count + 2) * num_regrasps)
 
 
 def _split(energy: CasadiEnergy, layers: Any) -> list[PlanarLayer]:
-    return [energy.layer_parameter(part) for part in ca.horzsplit(layers, 3 * energy.count)]
+    return [energy.layer_parameter(part) for part in ca.horzsplit(layers, 3 * energy.count + 2)]

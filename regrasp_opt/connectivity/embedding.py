@@ -15,10 +15,11 @@ from regrasp_opt.connectivity.casadi_costs import (
     pose_functions,
 )
 from regrasp_opt.connectivity.costs import CostOptions
-from regrasp_opt.conventions import FloatArray, IntArray, as_pose
+from regrasp_opt.conventions import IntArray, as_pose
 from regrasp_opt.energy.casadi_energy import Blas
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
 from regrasp_opt.errors import OptionError
+from regrasp_opt.geometry.planar_poses import PlanarPoses
 from regrasp_opt.grasps import GraspSet
 
 
@@ -30,11 +31,11 @@ class ProblemEnergy(GraspEnergy):
     model : EnergyModel
     grasps : GraspSet
         G grasps.
-    placements : (S, 4, 4)
-        Stable placements, T_world_object at xi = 0.
+    placements : PlanarPoses
+        S stable placements on the supports.
     """
 
-    def __init__(self, model: EnergyModel, grasps: GraspSet, placements: FloatArray) -> None:
+    def __init__(self, model: EnergyModel, grasps: GraspSet, placements: PlanarPoses) -> None:
         super().__init__(model, grasps)
         self.placements = placements
 

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from regrasp_opt.connectivity.costs import CostOptions, sequence_cost
-from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, planar_transform
+from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
 from regrasp_opt.energy.model import GraspEnergy
+from regrasp_opt.geometry.planar_poses import PlanarPoses
 
 Rule = Callable[[IntArray, FloatArray], BoolArray]
 """Returns which grasps (..., G) are known to be infeasible at `placements` (...) and `xi` (..., 3)."""
@@ -29,8 +30,8 @@ class TableRule:
     ----------
     point : (S, G, 2)
         A point of such a part at xi = 0, seen from above [m]; NaN where there is none.
-    table : (2, 2)
-        ``[[x_low, y_low], [x_high, y_high]]`` of the table's top [m].
+    table : (2, 2) or (S, 2, 2)
+        ``[[x_low, y_low], [x_high, y_high]]`` of the top of what each placement is on, in its plane [m].
     """
 
     point: FloatArray
@@ -52,45 +53,53 @@ class TableRule:
         point = self.point[placements]
         moved = x + c * point[..., 0] - s * point[..., 1], y + s * point[..., 0] + c * point[..., 1]
         ruled_out = np.ones(point.shape[:-1], dtype=bool)
-        for at, low, high in zip(moved, *self.table, strict=True):
-            ruled_out &= (at > low) & (at < high)
+        edges = self.table if self.table.ndim == 2 else self.table[placements]
+        for axis, at in enumerate(moved):
+            ruled_out &= (at > edges[..., 0, axis, None]) & (at < edges[..., 1, axis, None])
         return ruled_out
 
 
 @dataclass(frozen=True)
 class SequenceObjective:
-    """``J_seq`` of Eq. 5 as a function of placements and planar parameters.
+    """``J_seq`` of Eq. 5, and the weights of placements, as a function of placements and planar parameters.
 
     Attributes
     ----------
     energy : GraspEnergy
         Of G grasps.
-    placements : (S, 4, 4)
-        Stable placements, T_world_object at xi = 0.
+    placements : PlanarPoses
+        S stable placements on the supports, and the limits of `xi` there.
     start_energy, goal_energy : (G,)
         Energies at the fixed ends. Planning passes exact ones there: 0 for a feasible grasp, `BLOCKED` otherwise.
-    bounds : (2, 2)
-        ``[[x_low, y_low], [x_high, y_high]]`` of intermediate poses [m].
     options : CostOptions
     rule : callable, optional
         A `Rule`; grasps that it rules out count as `BLOCKED`.
     """
 
     energy: GraspEnergy
-    placements: FloatArray
+    placements: PlanarPoses
     start_energy: FloatArray
     goal_energy: FloatArray
-    bounds: FloatArray
     options: CostOptions
     rule: Rule | None = None
 
     def poses(self, placements: IntArray, xi: FloatArray) -> FloatArray:
         """Return object poses (..., 4, 4) of numbers `placements` (...) and planar parameters `xi` (..., 3) (Eq. 6)."""
-        return planar_transform(xi) @ self.placements[placements]
+        return self.placements.at(placements, xi)
+
+    @property
+    def bounds(self) -> FloatArray:
+        """``[[x_low, y_low], [x_high, y_high]]`` (2, 2) of intermediate poses [m], on all supports together."""
+        return self.placements.rectangle
 
     def cost(self, placements: IntArray, xi: FloatArray, dtype: DTypeLike = np.float64) -> NDArray[Any]:
         """Return the cost (B,) of B sequences, `placements` (B, N) and `xi` (B, N, 3), in the precision `dtype`."""
-        return sequence_cost(self.chain(self.energies(placements, xi, dtype)), self.options)
+        return self.sequence_cost(placements, self.energies(placements, xi, dtype))
+
+    def sequence_cost(self, placements: IntArray, middle: NDArray[Any]) -> NDArray[Any]:
+        """Return the cost (B,) of sequences at `placements` (B, N) with energies `middle` (B, N, G)."""
+        cost: NDArray[Any] = sequence_cost(self.chain(middle), self.options)
+        return cost + self.placements.weights[placements].sum(axis=1).astype(cost.dtype)
 
     def energies(self, placements: IntArray, xi: FloatArray, dtype: DTypeLike = np.float64) -> NDArray[Any]:
         """Return energies (..., G), of type `dtype`, of intermediate poses: `placements` (...) and `xi` (..., 3)."""

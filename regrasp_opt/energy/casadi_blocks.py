@@ -134,7 +134,8 @@ class _Blocked:
         self._xi = xi
         self._parts = list(pairwise(edges))
         self._functions = [_BlockFunctions.of(energy, last - first) for first, last in self._parts]
-        self._layers = [ca.horzcat(*(part[:, first:last] for part in layer[:3])) for first, last in self._parts]
+        shift = layer.dx, layer.dy
+        self._layers = [ca.horzcat(*(part[:, first:last] for part in layer[:3]), *shift) for first, last in self._parts]
         blocks = zip(self._functions, self._layers, strict=True)
         self.energy = ca.vertcat(*[functions.value(numbers, xi) for functions, numbers in blocks])
 
@@ -153,11 +154,12 @@ class _Blocked:
 
 
 class _BlockFunctions:
-    """The passes for a block of `size` grasps as functions of (layer numbers (H, 3 size), xi, weights)."""
+    """The passes for a block of `size` grasps as functions of (layer numbers (H, 3 size + 2), xi, weights)."""
 
     def __init__(self, energy: CasadiEnergy, size: int) -> None:
         block = CasadiEnergy(energy.model, size, energy.blas)
-        numbers, xi, w = ca.MX.sym("layer", energy.model.hidden, 3 * size), ca.MX.sym("xi", 3), ca.MX.sym("w", size)
+        numbers, xi = ca.MX.sym("layer", energy.model.hidden, 3 * size + 2), ca.MX.sym("xi", 3)
+        w = ca.MX.sym("w", size)
         layer = block.layer_parameter(numbers)
         bottom = block.planar_bottom(layer, xi)
         light, full = (_Whole(block, bottom, tangents) for tangents in (False, True))

@@ -18,7 +18,7 @@ import numpy as np
 
 from regrasp_opt.conventions import IntArray
 from regrasp_opt.energy.activations import Activation, casadi_activation
-from regrasp_opt.energy.model import EnergyModel, GraspEnergy, PlanarLayer, planar_shift
+from regrasp_opt.energy.model import EnergyModel, GraspEnergy, PlanarLayer
 from regrasp_opt.energy.network import evaluate
 
 Blas = Literal["classic", "reference"]
@@ -77,9 +77,9 @@ class CasadiEnergy:
         return PlanarLayer(*(ca.MX(ca.DM(part)) for part in numbers))
 
     def layer_parameter(self, numbers: Any) -> PlanarLayer:
-        """Return the layer whose (constant, cosine, sine) are the columns of the expression `numbers` (H, 3 G)."""
-        shifts = planar_shift(self.model)
-        return PlanarLayer(*ca.horzsplit(numbers, self.count), *(ca.MX(ca.DM(part)) for part in shifts))
+        """Return the layer whose parts are the columns of the expression `numbers` (H, 3 G + 2)."""
+        edges = [k * self.count for k in range(4)]
+        return PlanarLayer(*ca.horzsplit(numbers, [*edges, edges[3] + 1, edges[3] + 2]))
 
     def planar_expression(self, layer: PlanarLayer, xi: Any) -> Any:
         """Return the energies (G, 1) at ``dT(xi) @ T_p`` (Eq. 6), plainly built; the reference for `forward`."""

@@ -20,6 +20,7 @@ from regrasp_opt.energy.activations import Activation, activate
 from regrasp_opt.energy.features import FeatureSet, InputWeights, input_weights, with_tcp_weights
 from regrasp_opt.energy.network import evaluate
 from regrasp_opt.files import content_hash
+from regrasp_opt.geometry.planar_poses import PlanarPoses
 from regrasp_opt.grasps import GraspSet
 
 _CHUNK_ELEMENTS = 1 << 21
@@ -110,13 +111,6 @@ class PlanarLayer(NamedTuple):
     dy: Any
 
 
-def planar_shift(model: EnergyModel) -> tuple[FloatArray, FloatArray]:
-    """Return how the first layer's pre-activation (H, 1) changes with x and with y."""
-    weights = model.input_weights
-    x, y = (weights.pose[row, :, 3:] + weights.tcp[row, :, 3:] for row in (0, 1))
-    return x, y
-
-
 class GraspEnergy:
     """An `EnergyModel` bound to the G grasps of one grasp set; what plans are made with.
 
@@ -146,21 +140,32 @@ class GraspEnergy:
         """Return a hash of the model and the grasps."""
         return content_hash(self.model.fingerprint(), self.grasps.fingerprint())
 
-    def planar_layer(self, T_p: FloatArray, grasp_ids: Any = slice(None)) -> PlanarLayer:
-        """Return the first layer at placement `T_p` (4, 4) for the chosen grasps, in float64."""
-        first = self.first_layer
-        grasps = self.grasps.T_object_tcp[grasp_ids]
+    def planar_layers(self, placements: PlanarPoses, grasp_ids: Any = slice(None)) -> list[PlanarLayer]:
+        """Return the first layer at each of the `placements` for the chosen grasps, in float64."""
+        return [
+            self._planar_layer(surface, base, grasp_ids)
+            for surface, base in zip(placements.surfaces, placements.bases, strict=True)
+        ]
+
+    def _planar_layer(self, surface: FloatArray, base: FloatArray, grasp_ids: Any) -> PlanarLayer:
+        """Return the first layer at ``surface @ dT(xi) @ base``, each (4, 4)."""
+        first, grasps = self.first_layer, self.grasps.T_object_tcp[grasp_ids]
+        turned = np.einsum("ij,nihk->njhk", surface[:3, :3], np.array([first.pose, first.tcp]))  # seen from the surface
+        pose, tcp = turned
+        shift = turned[..., 3].sum(axis=0)  # (3, H)
+        raised = np.einsum("i,ih->h", surface[:3, 3], first.pose[..., 3] + first.tcp[..., 3])[:, None]
 
         def response(weights_row: int, row: FloatArray) -> FloatArray:
-            direct: FloatArray = (first.pose[weights_row] @ row)[:, None]
-            return direct + first.tcp[weights_row] @ np.einsum("j,gjk->kg", row, grasps)
+            direct: FloatArray = (pose[weights_row] @ row)[:, None]
+            return direct + tcp[weights_row] @ np.einsum("j,gjk->kg", row, grasps)
 
-        r0, r1, r2 = T_p[:3]
+        r0, r1, r2 = base[:3]
         return PlanarLayer(
-            first.constant[:, grasp_ids] + response(2, r2),
+            first.constant[:, grasp_ids] + raised + response(2, r2),
             response(0, r0) + response(1, r1),
             response(1, r0) - response(0, r1),
-            *planar_shift(self.model),
+            shift[0][:, None],
+            shift[1][:, None],
         )
 
     def __call__(self, T: FloatArray, dtype: DTypeLike = np.float64) -> NDArray[Any]:

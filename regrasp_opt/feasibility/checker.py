@@ -17,12 +17,12 @@ import numpy as np
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, invert
 from regrasp_opt.errors import GraspError
 from regrasp_opt.feasibility.scene import CollisionScene
-from regrasp_opt.feasibility.standing import standing_problem
+from regrasp_opt.feasibility.standing import is_above, standing_problem, support_of
 from regrasp_opt.geometry.shapes import surface_points
 from regrasp_opt.geometry.solids import Solid, nested
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel
-from regrasp_opt.scene import Workcell
+from regrasp_opt.scene import Support, Workcell
 from regrasp_opt.scene.collision_world import CollisionWorld, ContactPhase
 
 PAIRS_AT_ONCE = 20_000
@@ -44,6 +44,7 @@ class Ball(NamedTuple):
 
 
 class _Object(NamedTuple):
+    model: ObjectModel
     vertices: FloatArray
     solid: Solid
 
@@ -54,9 +55,11 @@ class _Still:
     def __init__(self, world: CollisionWorld, index: int) -> None:
         body = world.bodies[index]
         self.solid, self.pose = world.solids[index], body.pose
+        self.support = next((k for k, bodies in enumerate(world.by_support) if index in bodies), None)
         self.item = coal.CollisionObject(body.geometry, coal.Transform3s(body.pose[:3, :3], body.pose[:3, 3]))
         link = f"the robot's link '{body.label}'" if index in world.surroundings else "the robot's base"
-        self.label = f"the obstacle '{body.label}'" if index in world.obstacles else link
+        shape = "the obstacle" if self.support is None else "the support"
+        self.label = f"{shape} '{body.label}'" if index in world.obstacles + world.supports else link
 
 
 class FeasibilityChecker:
@@ -85,8 +88,9 @@ class FeasibilityChecker:
         self.world = world = CollisionWorld(workcell, model)
         self.scene = CollisionScene(world, grasps)
         effector = workcell.arm.end_effector
-        self._object = None if model is None else _Object(model.vertices, model.solid)
+        self._object = None if model is None else _Object(model, model.vertices, model.solid)
         self._still = [_Still(world, i) for _, i, _ in world.pairs(ContactPhase.REST)]
+        self._supports = [_Still(world, i) for i in world.supports]
         self._T_object_flange = grasps.T_object_tcp @ effector.T_tcp_flange
         fingers = [surface_points(box) for box in effector.finger_boxes(0.0, effector.pre_opening)]
         fixed = [surface_points(shape) for shape in effector.body]
@@ -150,7 +154,7 @@ class FeasibilityChecker:
             return not self.scene.collides(q)
 
     def clearance(self, T: FloatArray, grasp_id: int, q: FloatArray) -> float:
-        """Return the least distance of arm and gripper to table, obstacles and object [m]; negative on overlap."""
+        """Return the least distance of arm and gripper to supports, obstacles and object [m]; negative on overlap."""
         with self._lock:
             self._arrange(T, grasp_id)
             return self.scene.clearance(q)
@@ -176,24 +180,48 @@ class FeasibilityChecker:
         """Return what the object at `T` (4, 4) does that it must not, or None."""
         if self._object is None:
             return None
-        problem = standing_problem(self._object.vertices @ T[:3, :3].T + T[:3, 3], self.workcell.table)
+        problem = self._standing_problem(T)
         near = None if problem else self.object_overlaps(T, self.workcell.clearance.gripper)
         return problem if near is None else f"is too near to {near}"
 
+    def _standing_problem(self, T: FloatArray) -> str | None:
+        """Return what is wrong with how the object stands on the support that it is on, or on the only one."""
+        assert self._object is not None
+        number = 0 if len(self.workcell.supports) == 1 else self.support_below(T)
+        support = None if number is None else self.workcell.supports[number]
+        if not isinstance(support, Support):
+            return None
+        return standing_problem(self._object.vertices @ T[:3, :3].T + T[:3, 3], support)
+
+    def support_below(self, T: FloatArray) -> int | None:
+        """Return the number of the support on which the object is at `T` (4, 4), or None."""
+        assert self._object is not None
+        return support_of(T, self._object.model, self.workcell)
+
     def object_overlaps(self, T: FloatArray, clearance: float) -> str | None:
-        """Return what obstacle or base is around the object at `T` (4, 4) or nearer than `clearance` [m], or None."""
+        """Return what is around the object at `T` (4, 4), or nearer than `clearance` [m], or None.
+
+        These are obstacles, the robot's base, and the supports that it neither is on nor above.
+        """
         if self._object is None:
             return None
         solid = self._object.solid
         body = coal.CollisionObject(solid.geometry, coal.Transform3s(T[:3, :3], T[:3, 3]))
         request = coal.CollisionRequest()
         request.security_margin = clearance
-        for still in self._still:
+        for still in (*self._still, *self._other_supports(T)):
             if coal.collide(body, still.item, request, coal.CollisionResult()) or (
                 body.getAABB().overlap(still.item.getAABB()) and nested(solid, still.solid, invert(T) @ still.pose)
             ):
                 return still.label
         return None
+
+    def _other_supports(self, T: FloatArray) -> list[_Still]:
+        if self._object is None or len(self.workcell.supports) == 1:
+            return []
+        own, vertices = self.support_below(T), self._object.vertices @ T[:3, :3].T + T[:3, 3]
+        free = {k for k, s in enumerate(self.workcell.supports) if isinstance(s, Support) and is_above(vertices, s)}
+        return [still for still in self._supports if still.support != own and still.support not in free]
 
     def _blocked(self, T: FloatArray) -> BoolArray:
         """Return where the object itself collides (M,), for poses `T` (M, 4, 4) of which neighbours are often equal."""
@@ -240,9 +268,13 @@ class FeasibilityChecker:
         return np.linalg.norm(T_world_flange[:, :3, 3] - base, axis=1) <= self.workcell.arm.robot.max_reach
 
     def gripper_in_table(self, T_world_flange: FloatArray, grasp_ids: IntArray) -> BoolArray:
-        """Return where a corner of the gripper lies in the table, or nearer to its top than the clearance."""
-        table, margin = self.workcell.table.shape, self.workcell.clearance.gripper
+        """Return where a corner of the gripper lies in a board, or nearer to its top than the clearance."""
+        margin = self.workcell.clearance.gripper
         corners = self._corners[grasp_ids] @ np.swapaxes(T_world_flange[:, :3, :3], 1, 2)
         corners += T_world_flange[:, None, :3, 3]
-        half = table.size / 2 + np.array([0.0, 0.0, margin])
-        return (np.abs(corners - table.pose[:3, 3]) < half).all(axis=2).any(axis=1)
+        found = np.zeros(len(grasp_ids), dtype=bool)
+        for board in (support.shape for support in self.workcell.boards):
+            half = board.size / 2 + np.array([0.0, 0.0, margin])
+            local = (corners - board.pose[:3, 3]) @ board.pose[:3, :3]
+            found |= (np.abs(local) < half).all(axis=2).any(axis=1)
+        return found

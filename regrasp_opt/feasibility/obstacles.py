@@ -37,7 +37,7 @@ class _Around(NamedTuple):
 
 
 class ObstacleRule:
-    """Which poses and grasps the obstacles of a workcell rule out.
+    """Which poses and grasps the obstacles of a workcell rule out, and supports that the object is not on.
 
     Parameters
     ----------
@@ -47,7 +47,8 @@ class ObstacleRule:
 
     def __init__(self, checker: FeasibilityChecker) -> None:
         self._checker, cell = checker, checker.workcell
-        self._obstacles = [_around(shape) for shape in cell.obstacles]
+        supports = [shape for support in cell.supports for shape in support.shapes] if len(cell.supports) > 1 else []
+        self._obstacles = [_around(shape) for shape in (*cell.obstacles, *supports)]
         effector, grasps = cell.arm.end_effector, checker.grasps
         fixed = [_grid(shape) for shape in effector.body]
         fixed += [_axis(geometry, T) for geometry, T in wrist_bodies(cell.arm.robot)]

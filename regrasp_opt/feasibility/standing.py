@@ -5,8 +5,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from regrasp_opt.conventions import RESTING_TOLERANCE, FloatArray
-from regrasp_opt.scene import Support
+from regrasp_opt.conventions import RESTING_TOLERANCE, BoolArray, FloatArray, invert
+from regrasp_opt.objects import ObjectModel
+from regrasp_opt.scene import Fixture, Support, Workcell
+
+HELD_TOLERANCE = 1e-4
+"""How far a pose may be from that in which a fixture holds the object, in every number [m or 1]."""
 
 
 def standing_problem(vertices: FloatArray, support: Support) -> str | None:
@@ -15,13 +19,23 @@ def standing_problem(vertices: FloatArray, support: Support) -> str | None:
     It may be above the support, but neither in it by more than `RESTING_TOLERANCE` nor, where it stands on it, over
     the edge.
     """
-    gap = float(vertices[:, 2].min()) - support.height
+    gap, touching = _contact(vertices, support)
     if gap < -RESTING_TOLERANCE:
         return f"sinks {-gap * 1e3:.1f} mm into the {support.name}"
-    touching = _touching(vertices, support)
-    if len(touching) and (np.abs(touching - support.center) > support.size / 2).any():
+    if len(touching) and _beyond(touching, support).any():
         return f"stands over the edge of the {support.name}"
     return None
+
+
+def stands_on(vertices: FloatArray, support: Support) -> bool:
+    """Return whether an object with `vertices` (V, 3), in the world, touches a support from above."""
+    gap, touching = _contact(vertices, support)
+    return abs(gap) <= RESTING_TOLERANCE and not _beyond(touching, support).all()
+
+
+def is_above(vertices: FloatArray, support: Support) -> bool:
+    """Return whether all `vertices` (V, 3), in the world, are above the plane of a support; they may be beside it."""
+    return _contact(vertices, support)[0] >= -RESTING_TOLERANCE
 
 
 def resting_problem(vertices: FloatArray, center_of_mass: FloatArray, support: Support) -> str | None:
@@ -29,17 +43,55 @@ def resting_problem(vertices: FloatArray, center_of_mass: FloatArray, support: S
     problem = standing_problem(vertices, support)
     if problem is not None:
         return problem
-    gap = float(vertices[:, 2].min()) - support.height
+    gap, touching = _contact(vertices, support)
     if gap > RESTING_TOLERANCE:
         return f"floats {gap * 1e3:.1f} mm above the {support.name}"
-    if not _inside_hull(center_of_mass[:2], _touching(vertices, support)):
+    center, down = support.seen(center_of_mass), -support.T_world_support[2, :3]  # gravity in the support's frame
+    if not _inside_hull(center[:2] - center[2] / down[2] * down[:2], touching):
         return "would tip over"
     return None
 
 
-def _touching(vertices: FloatArray, support: Support) -> FloatArray:
-    """Return the points (S, 2) where the object touches a support."""
-    return vertices[vertices[:, 2] - support.height <= RESTING_TOLERANCE, :2]
+def support_of(T: FloatArray, body: ObjectModel, cell: Workcell) -> int | None:
+    """Return the number of the support on which, or in which, the object is at `T` (4, 4), or None."""
+    vertices = body.vertices @ T[:3, :3].T + T[:3, 3]
+    for number, support in enumerate(cell.supports):
+        if isinstance(support, Fixture):
+            held = support.holding(T, HELD_TOLERANCE)
+            if held is not None and held.object in (None, body.name):
+                return number
+        elif stands_on(vertices, support):
+            return number
+    return None
+
+
+def rest_problem(T: FloatArray, body: ObjectModel, cell: Workcell) -> str | None:
+    """Return what keeps the object from resting on any support at `T` (4, 4), or None.
+
+    Where it touches none, the nearest one below it, or the first, is named.
+    """
+    vertices, center = body.vertices @ T[:3, :3].T + T[:3, 3], T[:3, :3] @ body.center_of_mass + T[:3, 3]
+    number = support_of(T, body, cell)
+    if number is None:
+        gaps = [abs(_contact(vertices, board)[0]) for board in cell.boards]
+        return resting_problem(vertices, center, cell.boards[int(np.argmin(gaps))])
+    support = cell.supports[number]
+    if isinstance(support, Fixture):
+        return None
+    problem = resting_problem(vertices, center, support)
+    rolls = problem is None and body.rolls(invert(support.T_world_support) @ T)
+    return "would roll" if rolls else problem
+
+
+def _contact(vertices: FloatArray, support: Support) -> tuple[float, FloatArray]:
+    """Return the height of the lowest of `vertices` (V, 3) above the plane of a support, and where they touch it."""
+    seen = support.seen(vertices)
+    return float(seen[:, 2].min()), seen[seen[:, 2] <= RESTING_TOLERANCE, :2]
+
+
+def _beyond(points: FloatArray, support: Support) -> BoolArray:
+    """Return which `points` (S, 2) in the plane of a support are beyond its edges."""
+    return np.asarray((np.abs(points - support.center) > support.size / 2).any(axis=1))
 
 
 def _inside_hull(point: FloatArray, points: FloatArray) -> bool:

@@ -1,12 +1,13 @@
-"""What the table always rules out: grasps that put the gripper or the wrist into it at every pose of a placement.
+"""What a board always rules out: grasps that put the gripper or the wrist into it at every pose of a placement.
 
-A planar motion turns an object about the vertical and moves it along the table, so the height of the gripper stays
-the same, and so does that of the wrist as far as the last joint's turning does not move it. A point of these bodies
-that is as low as the table stands for all planar motions that keep it within the table's edges.
+A planar motion turns an object about the normal and moves it along the board, so the height of the gripper above it
+stays the same, and so does that of the wrist as far as the last joint's turning does not move it. A point of these
+bodies that is as low as the board stands for all planar motions that keep it within the board's edges.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import coal
@@ -16,7 +17,7 @@ from regrasp_opt.conventions import FloatArray, invert
 from regrasp_opt.geometry.shapes import shape_geometry
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.robots import Robot
-from regrasp_opt.scene import Workcell
+from regrasp_opt.scene import Fixture, Support, Workcell
 
 _ON_AXIS = 1e-6
 """How far from the last joint's axis [m], or turned from it [rad], a body may be that is taken to be symmetric."""
@@ -28,19 +29,23 @@ class _Body(NamedTuple):
     clearance: float
 
 
-def points_in_table(workcell: Workcell, grasps: GraspSet, placements: FloatArray) -> FloatArray:
-    """Return a point (S, G, 2) [m] of gripper or wrist that is in the table, for each placement and grasp.
+def points_in_support(
+    workcell: Workcell, grasps: GraspSet, placements: FloatArray, supports: Sequence[Support | Fixture]
+) -> FloatArray:
+    """Return a point (S, G, 2) [m] of gripper or wrist that is in the board, for each placement and grasp.
 
-    It is seen from above, at xi = 0. Wherever that point, which moves with the object, is within the table's edges, the
-    grasp is infeasible. NaN where no such point is known; the grasp may still be infeasible for other reasons.
+    It is seen along the normal, at xi = 0. Wherever that point, which moves with the object, is within the board's
+    edges, the grasp is infeasible. NaN where no such point is known; the grasp may still be infeasible for other
+    reasons.
 
     Parameters
     ----------
     placements : (S, 4, 4)
-        Stable placements, T_world_object at xi = 0.
+        Stable placements, T_support_object at xi = 0.
+    supports : S of Support or Fixture
+        What each of them is on.
     """
-    table, effector = workcell.table, workcell.arm.end_effector
-    slab = table.height - table.thickness, table.height
+    effector = workcell.arm.end_effector
     margins = workcell.clearance
     fixed = [_Body(shape_geometry(s), s.pose, margins.gripper) for s in effector.body]
     fixed += [_Body(geometry, T, margins.arm) for geometry, T in wrist_bodies(workcell.arm.robot)]
@@ -52,10 +57,13 @@ def points_in_table(workcell: Workcell, grasps: GraspSet, placements: FloatArray
         poses = np.tile(box.pose, (len(grasps), 1, 1))
         poses[:, :3, 3] += shifts[:, k]
         bodies.append(_Body(shape_geometry(box), poses, margins.gripper))
-    for s, placement in enumerate(placements):
+    for s, (placement, support) in enumerate(zip(placements, supports, strict=True)):
+        if isinstance(support, Fixture):
+            continue
+        slab = -support.thickness, 0.0
         for body in bodies + fixed:
             point = _in_slab(body, placement @ T_object_flange, slab)
-            # The nearest point to the object is the last to leave the table.
+            # The nearest point to the object is the last to leave the board.
             nearer = ~(np.linalg.norm(point, axis=1) >= np.linalg.norm(found[s], axis=1))
             nearer &= np.isfinite(point).all(axis=1)
             found[s, nearer] = point[nearer]

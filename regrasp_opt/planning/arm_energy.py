@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from regrasp_opt.connectivity import block
-from regrasp_opt.conventions import as_seed, planar_transform, translation
+from regrasp_opt.conventions import as_seed
 from regrasp_opt.energy.calibration import HeldOut, average_precision, calibrate
 from regrasp_opt.energy.features import pair_features
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
@@ -29,13 +29,13 @@ from regrasp_opt.energy.storage import load_energy, save_energy
 from regrasp_opt.energy.training import TrainingOptions, train
 from regrasp_opt.errors import GraspError, ModelError, OptionError
 from regrasp_opt.feasibility import FeasibilityChecker
-from regrasp_opt.feasibility.dataset import random_poses
 from regrasp_opt.feasibility.tool_poses import LabelledToolPoses, label_tool_poses
 from regrasp_opt.files import data_home
 from regrasp_opt.grasps import GraspSet, sample_grasps
 from regrasp_opt.objects import OBJECT_NAMES, load_object
 from regrasp_opt.planning.model_key import ArmKey, surroundings
 from regrasp_opt.planning.model_store import workcell_arguments
+from regrasp_opt.planning.rests import Rests
 from regrasp_opt.planning.rules import GraspRules
 from regrasp_opt.robots.numerical import NumericalIk
 from regrasp_opt.scene import Workcell
@@ -203,7 +203,7 @@ def _train(workcell: Workcell, labels: LabelledToolPoses, seed: int, tell: Calla
 
 def _unseen(workcell: Workcell, model: EnergyModel, seed: int) -> dict[str, HeldOut]:
     """Return energies, with exact rules, and feasibility of grasps on the built-in objects that the tool can hold."""
-    rng, lift = np.random.default_rng([seed, 1]), translation(0.0, 0.0, workcell.table.height)
+    rng = np.random.default_rng([seed, 1])
     found = {}
     for name in OBJECT_NAMES:
         body = load_object(name)
@@ -211,13 +211,13 @@ def _unseen(workcell: Workcell, model: EnergyModel, seed: int) -> dict[str, Held
             grasps = sample_grasps(body, workcell.arm.end_effector, UNSEEN_GRASPS, seed=seed)
         except GraspError:
             continue
-        placements = np.array([lift @ p.pose for p in body.placements])
-        numbers, xi = random_poses(placements, workcell.bounds.array, UNSEEN_POSES, rng)
-        T = planar_transform(xi) @ placements[numbers]
+        rests = Rests.of(body, workcell)
+        numbers, xi = rests.planar.draw(UNSEEN_POSES, rng)
+        T = rests.planar.at(numbers, xi)
         checker = FeasibilityChecker(body, workcell, grasps)
         ids = np.tile(np.arange(len(grasps)), len(T))
         feasible = checker.feasible_pairs(np.repeat(T, len(grasps), axis=0), ids).reshape(len(T), -1)
-        ruled_out = GraspRules(checker, body, placements)(numbers, xi)
+        ruled_out = GraspRules(checker, body, rests)(numbers, xi)
         if feasible.any():
             found[name] = HeldOut(block(GraspEnergy(model, grasps)(T), ruled_out), feasible)
     return found

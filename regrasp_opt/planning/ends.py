@@ -10,10 +10,10 @@ from regrasp_opt.connectivity import BLOCKED, exact_energy
 from regrasp_opt.conventions import BoolArray, FloatArray, as_pose
 from regrasp_opt.energy.model import GraspEnergy
 from regrasp_opt.errors import PoseError
-from regrasp_opt.feasibility.standing import resting_problem
+from regrasp_opt.feasibility.standing import rest_problem, support_of
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.planning.problem_data import ProblemData
-from regrasp_opt.scene import Workcell
+from regrasp_opt.scene import Support, Workcell
 
 
 def checked_end(T: Any, name: str, problem: ProblemData) -> FloatArray:
@@ -27,11 +27,8 @@ def checked_end(T: Any, name: str, problem: ProblemData) -> FloatArray:
         or goal) is in the message.
     """
     T = as_pose(T, f"{name} pose")
-    vertices = problem.object.vertices @ T[:3, :3].T + T[:3, 3]
-    _check_workspace(T, name, problem.object, problem.workcell, vertices)
-    problem_at_rest = resting_problem(vertices, _center(T, problem.object), problem.workcell.table)
-    if problem_at_rest is None and problem.object.rolls(T):
-        problem_at_rest = "would roll"
+    _check_workspace(T, name, problem.object, problem.workcell)
+    problem_at_rest = rest_problem(T, problem.object, problem.workcell)
     if problem_at_rest is not None:
         raise PoseError(f"the object {problem_at_rest} at the {name} pose; put it down in a stable placement")
     overlapped = problem.checker.object_overlaps(T, 0.0)
@@ -45,14 +42,19 @@ def known_energy(energy: GraspEnergy, T: FloatArray, feasible: BoolArray) -> Flo
     return exact_energy(feasible) if energy.model.bounded else np.where(feasible, energy(T), BLOCKED)
 
 
-def _check_workspace(T: FloatArray, name: str, model: ObjectModel, workcell: Workcell, vertices: FloatArray) -> None:
-    center = _center(T, model)[:2]
-    low, high = workcell.bounds.array
-    if (center < low - 1e-9).any() or (center > high + 1e-9).any():
-        raise PoseError(
-            f"the {name} pose is outside the workspace: the object's centre is at x = {center[0]:.3f}, "
-            f"y = {center[1]:.3f} m; keep it in x [{low[0]:g}, {high[0]:g}], y [{low[1]:g}, {high[1]:g}]"
-        )
+def _check_workspace(T: FloatArray, name: str, model: ObjectModel, workcell: Workcell) -> None:
+    vertices = model.vertices @ T[:3, :3].T + T[:3, 3]
+    number = support_of(T, model, workcell)
+    support = workcell.supports[number or 0]
+    if isinstance(support, Support):
+        center = support.seen(T[:3, :3] @ model.center_of_mass + T[:3, 3])[:2]
+        low, high = support.workspace.array
+        if (center < low - 1e-9).any() or (center > high + 1e-9).any():
+            where = "" if len(workcell.supports) == 1 else f" of the support '{support.name}'"
+            raise PoseError(
+                f"the {name} pose is outside the workspace{where}: the object's centre is at x = {center[0]:.3f}, "
+                f"y = {center[1]:.3f} m; keep it in x [{low[0]:g}, {high[0]:g}], y [{low[1]:g}, {high[1]:g}]"
+            )
     distance = float(np.linalg.norm(vertices - workcell.arm.T_world_base[:3, 3], axis=1).min())
     reach = workcell.arm.robot.max_reach + workcell.arm.end_effector.tcp_offset
     if distance > reach:
@@ -60,9 +62,3 @@ def _check_workspace(T: FloatArray, name: str, model: ObjectModel, workcell: Wor
             f"the {name} pose is out of reach: the object is {distance:.2f} m from the robot's base, "
             f"which reaches {reach:.2f} m; move it nearer"
         )
-
-
-def _center(T: FloatArray, model: ObjectModel) -> FloatArray:
-    """Return the object's centre of mass (3,) in the world."""
-    center: FloatArray = T[:3, :3] @ model.center_of_mass + T[:3, 3]
-    return center

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, planar_transform
+from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
 from regrasp_opt.feasibility import FeasibilityChecker
-from regrasp_opt.feasibility.dataset import random_poses
+from regrasp_opt.geometry.planar_poses import PlanarPoses
 
 SIZES = (128, 512, 1024)
 """Numbers of random poses that are tried, one after the other; each keeps those of the one before."""
@@ -40,17 +40,13 @@ class RestingPoses:
     Parameters
     ----------
     checker : FeasibilityChecker
-    placements : (S, 4, 4)
-        Stable placements, T_world_object at xi = 0.
-    bounds : (2, 2)
-        Corners of the workspace [m].
+    placements : PlanarPoses
+        S stable placements on the supports.
     rng : Generator
     """
 
-    def __init__(
-        self, checker: FeasibilityChecker, placements: FloatArray, bounds: FloatArray, rng: np.random.Generator
-    ) -> None:
-        self._checker, self._placements, self._bounds, self._rng = checker, placements, bounds, rng
+    def __init__(self, checker: FeasibilityChecker, placements: PlanarPoses, rng: np.random.Generator) -> None:
+        self._checker, self._placements, self._rng = checker, placements, rng
         self.numbers = np.zeros(0, dtype=np.int64)
         self.xi = np.zeros((0, 3))
         self.feasible = np.zeros((0, len(checker.grasps)), dtype=bool)
@@ -59,8 +55,8 @@ class RestingPoses:
     def grow(self, size: int) -> None:
         """Draw until `size` poses were drawn; those at which no grasp is feasible are not kept."""
         count, grasps = size - self.drawn, len(self._checker.grasps)
-        numbers, xi = random_poses(self._placements, self._bounds, count, self._rng)
-        T = planar_transform(xi) @ self._placements[numbers]
+        numbers, xi = self._placements.draw(count, self._rng)
+        T = self._placements.at(numbers, xi)
         pairs = np.tile(np.arange(grasps), count)
         found = self._checker.feasible_pairs(np.repeat(T, grasps, axis=0), pairs).reshape(count, grasps)
         useful = found.any(axis=1)

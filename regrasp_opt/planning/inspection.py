@@ -22,33 +22,35 @@ from regrasp_opt.objects.placements import rejected_placements
 from regrasp_opt.objects.rolling import LEAST_MARGIN
 from regrasp_opt.planning.problem import RegraspProblem
 from regrasp_opt.robots import Robot, urdf
-from regrasp_opt.scene import Workcell
+from regrasp_opt.scene import Fixture, Support, Workcell
 
 Data = dict[str, Any]
 
 
 def describe_workcell(workcell: Workcell) -> Data:
-    """Return the robot, the end-effector, table, obstacles, workspace and clearances of `workcell`."""
-    table = workcell.table
+    """Return the robot, the end-effector, supports, obstacles and clearances of `workcell`."""
     return {
         "name": workcell.name,
         "source": workcell.source,
         "robot": describe_robot(workcell.arm.robot) | {"position": workcell.arm.T_world_base[:3, 3].tolist()},
         "end_effector": _describe_end_effector(workcell),
-        "table": {
-            "height": table.height,
-            "center": table.center.tolist(),
-            "size": table.size.tolist(),
-            "thickness": table.thickness,
-        },
+        "supports": [_support(support) for support in workcell.supports],
         "obstacles": [_shape(shape) | {"position": shape.pose[:3, 3].tolist()} for shape in workcell.obstacles],
-        "workspace": {"x": list(workcell.bounds.x), "y": list(workcell.bounds.y)},
         "clearance": {
             "arm": workcell.clearance.arm,
             "gripper": workcell.clearance.gripper,
             "self_collision": workcell.clearance.self_collision,
         },
     }
+
+
+def _support(support: Support | Fixture) -> Data:
+    common = {"name": support.name, "height": support.height, "weight": support.weight}
+    if isinstance(support, Fixture):
+        return {**common, "poses": [pose.name for pose in support.poses], "bodies": list(map(_shape, support.shapes))}
+    space = {"x": list(support.workspace.x), "y": list(support.workspace.y)}
+    sizes = {"center": support.center.tolist(), "size": support.size.tolist(), "thickness": support.thickness}
+    return {**common, **sizes, "tilt": float(np.degrees(np.arctan(support.slope))), "workspace": space}
 
 
 def describe_robot(robot: Robot) -> Data:

@@ -90,5 +90,5 @@ class ArmKey:
 def surroundings(workcell: Workcell) -> str:
     """Return a hash of the supports and obstacles that `workcell` was loaded with."""
     workcell = workcell.as_loaded
-    fixed = (*(support.shape for support in workcell.supports), *workcell.obstacles)
+    fixed = (*(shape for support in workcell.supports for shape in support.shapes), *workcell.obstacles)
     return content_hash([shape_parts(shape) for shape in fixed])

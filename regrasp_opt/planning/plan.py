@@ -22,9 +22,10 @@ class RegraspPlan(PlanData):
         T_world_object of start, N intermediate poses and goal. Without a plan: start and goal, and after a time limit
         the cheapest unverified candidate between them.
     placements : (N,) int
-        Numbers into ``problem.placements`` of the intermediate poses.
+        Numbers into ``problem.rests`` of the intermediate poses; on the first support they are those of
+        ``problem.placements``. `stations` has names.
     xi : (N, 3) float64
-        Their planar parameters (x, y, theta) [m, m, rad] (Eq. 6).
+        Their planar parameters (x, y, theta) in the planes of their supports [m, m, rad] (Eq. 6).
     transitions : sequence of Transition
         N+1 of them, each enumerated when it is first looked at; empty without a plan.
     cost : float

@@ -11,6 +11,7 @@ from typing import Any
 from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.feasibility.diagnosis import diagnose, summary
 from regrasp_opt.planning.problem import RegraspProblem
+from regrasp_opt.planning.rests import Station
 
 
 class Status(Enum):
@@ -68,6 +69,14 @@ class PlanData:
     def solved(self) -> bool:
         """Whether the status is SOLVED."""
         return self.status is Status.SOLVED
+
+    @cached_property
+    def stations(self) -> tuple[Station, ...]:
+        """Where the object is at each of the `poses`."""
+        start, goal = (self.problem.station(self.poses[end]) for end in (0, -1))
+        rests = [self.problem.rests[m] for m in self.placements]
+        middle = (Station(r.support.name, r.placement, xi) for r, xi in zip(rests, self.xi, strict=True))
+        return start, *middle, goal
 
     @cached_property
     def message(self) -> str:

@@ -11,7 +11,7 @@ from typing import Annotated, Any, TypeVar
 import numpy as np
 from pydantic import Field
 
-from regrasp_opt.conventions import as_pose
+from regrasp_opt.conventions import IntArray, as_pose
 from regrasp_opt.errors import PlanFileError, PoseError
 from regrasp_opt.files import atomic_path
 from regrasp_opt.grasps import GraspSet
@@ -31,7 +31,7 @@ from regrasp_opt.scene.record import (
 )
 from regrasp_opt.schemas import Section, read_json, validated
 
-SCHEMA = 2
+SCHEMA = 3
 NAMED = 3
 """Changes of a workcell that a message names."""
 
@@ -80,6 +80,7 @@ class _File(Section):
     transitions: list[_Transition]
     timings: dict[str, float]
     placements: list[Number]
+    supports: list[str]
     xi: list[Planar]
     seed: int
     refiner_stats: list[dict[str, Any]]
@@ -88,11 +89,15 @@ class _File(Section):
     grasps: Annotated[list[_Grasp], Field(min_length=1)]
 
 
-class _File1(_File):
+class _File2(_File):
+    supports: list[str] | None = None  # type: ignore[assignment]
+
+
+class _File1(_File2):
     workcell: _Workcell1  # type: ignore[assignment]
 
 
-_SCHEMAS: dict[int, type[_File]] = {1: _File1, SCHEMA: _File}
+_SCHEMAS: dict[int, type[_File]] = {1: _File1, 2: _File2, SCHEMA: _File}
 
 
 def plan_summary(plan: PlanData) -> dict[str, Any]:
@@ -123,7 +128,8 @@ def plan_content(plan: PlanData) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         **plan_summary(plan),
-        "placements": plan.placements.tolist(),
+        "placements": [problem.rests[m].placement for m in plan.placements],
+        "supports": [problem.rests[m].support.name for m in plan.placements],
         "xi": plan.xi.tolist(),
         "seed": plan.seed,
         "refiner_stats": plan.refiner_stats,
@@ -158,7 +164,7 @@ def plan_from_content(raw: Any, path: Path, kind: type[Plan]) -> Plan:
     plan = kind(
         status=Status[content.status.upper()],
         poses=poses,
-        placements=np.array(content.placements, dtype=np.int64),
+        placements=_rests(content, problem, path),
         xi=np.array(content.xi, dtype=np.float64).reshape(-1, 3),
         transitions=tuple(_transition(t, problem, path) for t in content.transitions),
         cost=float("nan") if content.cost is None else content.cost,
@@ -218,6 +224,18 @@ def _unchanged_cell(record: _Workcell | _Workcell1, path: Path) -> Workcell:
             f"({', '.join(changes[:NAMED])}{more}); plan again"
         )
     return cell
+
+
+def _rests(content: _File, problem: RegraspProblem, path: Path) -> IntArray:
+    """Return the numbers (N,) of the rests of the intermediate poses."""
+    supports = [None] * len(content.placements) if content.supports is None else content.supports
+    if len(supports) != len(content.placements):
+        raise PlanFileError(f"'{path}': the numbers of placements and supports disagree; save the plan again")
+    try:
+        found = [problem.rests.number(s, m) for s, m in zip(supports, content.placements, strict=True)]
+    except PoseError as error:
+        raise PlanFileError(f"'{path}': {error}; save the plan again") from error
+    return np.array(found, dtype=np.int64)
 
 
 def _transition(record: _Transition, problem: RegraspProblem, path: Path) -> Transition:

@@ -1,4 +1,4 @@
-"""Object poses as users type them: ``PLACEMENT:x,y,yaw_deg`` or a JSON file with a 4x4 matrix."""
+"""Poses as users type them: ``[SUPPORT/]PLACEMENT:x,y,yaw_deg``, ``FIXTURE/POSE``, or a JSON file with a 4x4 matrix."""
 
 from __future__ import annotations
 
@@ -10,43 +10,59 @@ from pathlib import Path
 
 import numpy as np
 
-from regrasp_opt.conventions import FloatArray, as_pose, planar_transform
-from regrasp_opt.errors import PoseError
+from regrasp_opt.conventions import FloatArray, as_pose
+from regrasp_opt.errors import PoseError, UnknownNameError
+from regrasp_opt.planning.problem_data import REST_TOLERANCE, ProblemData
+from regrasp_opt.scene import Fixture
 
-REST_TOLERANCE = 1e-4
-"""How far a rotation matrix's entries and the height [m] may together be off for a pose to be called a placement."""
-_PLANAR = re.compile(r"(-?\d{1,9}):([^,]+),([^,]+),([^,]+)")
+_PLANAR = re.compile(r"(?:([^/:]+)/)?(-?\d{1,9}):([^,]+),([^,]+),([^,]+)")
 
 
-def parse_pose(text: str, name: str, placements: FloatArray) -> FloatArray:
+def parse_pose(text: str, name: str, problem: ProblemData) -> FloatArray:
     """Return the pose (4, 4) T_world_object that `text` stands for.
 
     Parameters
     ----------
     name : str
         Start or goal, for messages.
-    placements : (S, 4, 4)
 
     Raises
     ------
     PoseError
-        If `text` is neither form, names a placement that does not exist, or its file cannot be read.
+        If `text` is none of the forms, names a support or placement that does not exist, or its file cannot be read.
     """
+    held = _in_fixture(text.strip(), name, problem)
     match = _PLANAR.fullmatch(text.strip())
-    if match is None:
-        return _from_file(Path(text), name)
-    number = int(match.group(1))
-    if not 0 <= number < len(placements):
-        raise PoseError(f"the {name} names placement {number}; this object has placements 0 to {len(placements) - 1}")
+    if held is not None or match is None:
+        return _from_file(Path(text), name) if held is None else held
     try:
-        x, y, degrees = (float(value) for value in match.groups()[1:])
+        x, y, degrees = (float(value) for value in match.groups()[2:])
     except ValueError as error:
         raise PoseError(
             f"the {name} '{text}' holds something that is not a number; write it like 2:0.30,0.25,45"
         ) from error
     if not all(math.isfinite(v) for v in (x, y, degrees)):
         raise PoseError(f"the {name} '{text}' holds NaN or infinity; write it like 2:0.30,0.25,45")
-    return planar_transform(np.array([x, y, math.radians(degrees)])) @ placements[number]
+    number, count = int(match.group(2)), len(problem.object.placements)
+    if not 0 <= number < count:
+        raise PoseError(f"the {name} names placement {number}; this object has placements 0 to {count - 1}")
+    try:
+        return problem.pose(number, x, y, math.radians(degrees), support=match.group(1))
+    except UnknownNameError as error:
+        raise PoseError(f"the {name} '{text}': {error}") from error
+
+
+def _in_fixture(text: str, name: str, problem: ProblemData) -> FloatArray | None:
+    """Return the pose (4, 4) that ``FIXTURE/POSE`` stands for; None where `text` names no fixture."""
+    fixtures = {each.name: each for each in problem.workcell.supports if isinstance(each, Fixture)}
+    support, _, pose = text.partition("/")
+    if support not in fixtures:
+        return None
+    labels = {rest.label: rest for rest in problem.rests if rest.support is fixtures[support]}
+    if text not in labels:
+        there = ", ".join(labels) or f"no pose for '{problem.object.name}'"
+        raise PoseError(f"the {name} names the pose '{pose}' of the fixture '{support}', which has {there}")
+    return problem.pose(labels[text].placement, support=support)
 
 
 def _from_file(path: Path, name: str) -> FloatArray:
@@ -65,17 +81,16 @@ def _from_file(path: Path, name: str) -> FloatArray:
     return as_pose(matrix, f"{name} pose in '{path}'")
 
 
-def describe_pose(T: FloatArray, placements: FloatArray) -> str:
+def describe_pose(T: FloatArray, problem: ProblemData) -> str:
     """Return the text that `parse_pose` reads as `T` (4, 4) to a millimetre and a tenth of a degree.
 
-    A pose that is none of the `placements` (S, 4, 4), moved on the table, is written as where its origin is [m].
+    A pose in none of the problem's rests is written as where its origin is [m].
     """
-    turn: FloatArray = T[:3, :3] @ placements[:, :3, :3].transpose(0, 2, 1)
-    yaw = np.arctan2(turn[:, 1, 0] - turn[:, 0, 1], turn[:, 0, 0] + turn[:, 1, 1])
-    upright = planar_transform(np.stack([0 * yaw, 0 * yaw, yaw], axis=-1)) @ placements
-    moved = T[:3, 3] - upright[:, :3, 3]
-    error = np.abs(upright[:, :3, :3] - T[:3, :3]).max(axis=(1, 2)) + np.abs(moved[:, 2])
-    number = int(error.argmin())
-    if error[number] > REST_TOLERANCE:
+    found = problem.rests.find(T, REST_TOLERANCE)
+    if found is None:
         return f"({T[0, 3]:+.3f}, {T[1, 3]:+.3f}, {T[2, 3]:+.3f})"
-    return f"{number}:{moved[number, 0]:.3f},{moved[number, 1]:.3f},{np.degrees(yaw[number]):.1f}"
+    rest, (x, y, yaw) = problem.rests[found[0]], found[1]
+    if isinstance(rest.support, Fixture):
+        return rest.label
+    label = rest.label if len(problem.workcell.supports) > 1 else str(rest.placement)
+    return f"{label}:{x:.3f},{y:.3f},{np.degrees(yaw):.1f}"

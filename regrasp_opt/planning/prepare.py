@@ -15,7 +15,7 @@ from typing import Any
 import joblib
 import numpy as np
 
-from regrasp_opt.conventions import as_seed, translation
+from regrasp_opt.conventions import as_seed
 from regrasp_opt.energy.calibration import HeldOut, calibrate
 from regrasp_opt.energy.features import pair_features
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
@@ -98,8 +98,7 @@ def prepare(
     tell("sampling grasps", 0, 1)
     grasps = sample_grasps(model, workcell.end_effector, num_grasps, seed=seed, clearance=workcell.clearance.gripper)
     began.append(time.perf_counter())
-    lift = translation(0.0, 0.0, workcell.table.height)
-    placements = np.array([lift @ p.pose for p in model.placements])
+    placements = np.array([workcell.table.T_world_support @ p.pose for p in model.placements])
     task = LabellingTask(model, workcell, grasps, placements, seed)
     labels = data_home() / "labels"
     pairs = label_pairs(task, samples, folder=labels, jobs=jobs, progress=lambda n, of: tell("labelling", n, of))

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 from regrasp_opt.connectivity import CostOptions
-from regrasp_opt.conventions import translation
 from regrasp_opt.errors import GraspError, UnknownNameError, WorkcellError
 from regrasp_opt.geometry.shapes import Shape
 from regrasp_opt.grasps import GraspSet, rejected_grasps, sample_grasps
@@ -19,6 +18,7 @@ from regrasp_opt.objects import ObjectModel, Placement, load_object
 from regrasp_opt.planning.arm_energy import load_arm_energy
 from regrasp_opt.planning.model_store import ENERGY_FILES, find_model, load_prepared_grasps
 from regrasp_opt.planning.problem_data import ProblemData
+from regrasp_opt.planning.rests import Rests, check_fixtures
 from regrasp_opt.planning.sequence_nlp import sequence_nlp
 from regrasp_opt.scene import Workcell, as_obstacles, load_workcell
 from regrasp_opt.scene.collision_world import collision_at_home
@@ -44,7 +44,7 @@ class RegraspProblem(ProblemData):
     grasps : GraspSet
         G candidate grasps; their numbers are the grasp ids of plans.
     placements : tuple of Placement
-        Stable placements on this workcell's table: ``.pose`` (4, 4) T_world_object at xi = 0, ``.margin``.
+        Stable placements on the first support: ``.pose`` (4, 4) T_world_object at xi = 0, ``.margin``.
     model_folder : Path or None
         Where the object's own model was found, if one was prepared; else the energy is the arm's.
     preset : {"default", "paper"}
@@ -111,10 +111,12 @@ class RegraspProblem(ProblemData):
             body = load_object(object, scale=scale, repair=repair, thickness=thickness)
         if not isinstance(workcell, Workcell):
             workcell = load_workcell(workcell, end_effector=end_effector)
-        if not body.placements:
+        if not len(Rests.of(body, workcell)):
             raise GraspError(
-                f"'{body.name}' has no stable placement on a table, so it cannot be planned; check its shape and scale"
+                f"'{body.name}' has no stable placement on a support of '{workcell.name}', so it cannot be planned; "
+                "check its shape and scale"
             )
+        check_fixtures(body, workcell)
         file = Path(model) if model is not None and Path(model).is_file() else None
         if file is not None:
             load_arm_energy(file, workcell)
@@ -179,8 +181,8 @@ class RegraspProblem(ProblemData):
             A pose gets its exact energies, as in `solve_sequence`. "input" makes the energies a parameter of the
             program, to be set by `RegraspNLP.set_parameter`.
         placements : sequence of int, optional
-            Number of the stable placement of each intermediate pose; by default those of the most promising chain of
-            lattice poses with `num_regrasps` of them.
+            Number of the rest (`rests`) of each intermediate pose, on the first support that of the placement; by
+            default those of the most promising chain of lattice poses with `num_regrasps` of them.
         num_regrasps : int
             N, where `placements` are not given.
         guess : (N, 3), optional
@@ -212,8 +214,7 @@ def assemble(
     arm_energy: Path | None = None,
 ) -> RegraspProblem:
     """Return the problem of these parts; nothing is tested, and no grasp is left out."""
-    lift = translation(0.0, 0.0, workcell.table.height)
-    placements = tuple(Placement(lift @ p.pose, p.margin) for p in body.placements)
+    placements = tuple(Placement(workcell.table.T_world_support @ p.pose, p.margin) for p in body.placements)
     return RegraspProblem(body, workcell, grasps, placements, folder, preset, left_out or {}, arm_energy)
 
 

@@ -15,16 +15,21 @@ from regrasp_opt.connectivity.embedding import ProblemEnergy
 from regrasp_opt.conventions import BoolArray, FloatArray, as_pose, planar_transform
 from regrasp_opt.errors import ModelError, PoseError
 from regrasp_opt.feasibility import FeasibilityChecker
+from regrasp_opt.feasibility.standing import support_of
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel, Placement
 from regrasp_opt.planning.arm_energy import find_arm_energy, load_arm_energy, train_arm_energy
 from regrasp_opt.planning.model_key import ModelKey
 from regrasp_opt.planning.model_store import command_arguments, load_prepared_energy
+from regrasp_opt.planning.rests import Rests, Station
 from regrasp_opt.planning.rules import GraspRules
-from regrasp_opt.scene import Workcell
+from regrasp_opt.scene import Fixture, Workcell
 from regrasp_opt.solvers import PoseLattice
 
 logger = logging.getLogger(__name__)
+
+REST_TOLERANCE = 1e-4
+"""How far a rotation matrix's entries and the height [m] may together be off for a pose to be called a placement."""
 
 TRAINING_SAID = "training an energy for '%s' with '%s', once: a minute, or a few where inverse kinematics is slow"
 
@@ -57,8 +62,13 @@ class ProblemData:
 
     @cached_property
     def placement_poses(self) -> FloatArray:
-        """The placements' poses (S, 4, 4)."""
+        """The placements' poses (M, 4, 4) on the first support."""
         return np.array([p.pose for p in self.placements])
+
+    @cached_property
+    def rests(self) -> Rests:
+        """The ways to stand: placements on supports. Those on the first support have the numbers of `placements`."""
+        return Rests.of(self.object, self.workcell)
 
     @property
     def energy_file(self) -> Path | None:
@@ -93,17 +103,17 @@ class ProblemData:
                 logger.warning(TRAINING_SAID, arm.robot.name, arm.end_effector.name)
                 file, _ = train_arm_energy(self.workcell)
             model = load_arm_energy(file, self.workcell)
-        return ProblemEnergy(model, self.grasps, self.placement_poses)
+        return ProblemEnergy(model, self.grasps, self.rests.planar)
 
     @cached_property
     def rules(self) -> GraspRules:
         """The exact rules: what table, object and obstacles make impossible."""
         same = None if self.base is None else self.base.rules
-        return GraspRules(self.checker, self.object, self.placement_poses, same)
+        return GraspRules(self.checker, self.object, self.rests, same)
 
     @property
     def table_rule(self) -> TableRule:
-        """Which grasps the table makes infeasible at a placement, whatever the planar parameters."""
+        """Which grasps its support makes infeasible at a placement, whatever the planar parameters."""
         return self.rules.table
 
     @cached_property
@@ -111,8 +121,7 @@ class ProblemData:
         """The lattice of poses with their energies, but for obstacles; grasps that are ruled out are `BLOCKED`."""
         if self.base is not None:
             return self.base.free_lattice
-        bounds, rules = self.workcell.bounds.array, self.rules
-        return PoseLattice.build(self.energy, self.placement_poses, bounds, rules.free_space)
+        return PoseLattice.build(self.energy, self.rests.planar, self.rules.free_space)
 
     @property
     def lattice(self) -> PoseLattice:
@@ -120,7 +129,7 @@ class ProblemData:
         return self.free_lattice.under(self.rules.behind_obstacles) if self.rules.obstacles else self.free_lattice
 
     def ruled_out(self, placements: Any, xi: Any) -> BoolArray:
-        """Return which grasps (..., G) are known to be infeasible at placement numbers (...) and `xi` (..., 3)."""
+        """Return which grasps (..., G) are known to be infeasible at numbers (...) of rests and `xi` (..., 3)."""
         return self.rules(np.asarray(placements), np.asarray(xi, dtype=np.float64))
 
     def objective(
@@ -135,32 +144,51 @@ class ProblemData:
         options : CostOptions, optional
             The paper's by default.
         """
-        bounds, options = self.workcell.bounds.array, options or CostOptions()
-        return SequenceObjective(
-            self.energy, self.placement_poses, start_energy, goal_energy, bounds, options, self.ruled_out
-        )
+        options = options or CostOptions()
+        return SequenceObjective(self.energy, self.rests.planar, start_energy, goal_energy, options, self.ruled_out)
 
-    def pose(self, placement: int, x: float, y: float, yaw: float = 0.0) -> FloatArray:
-        """Return the pose (4, 4) T_world_object of a stable placement moved in the plane (Eq. 6).
+    def pose(
+        self, placement: int, x: float = 0.0, y: float = 0.0, yaw: float = 0.0, *, support: str | None = None
+    ) -> FloatArray:
+        """Return the pose (4, 4) T_world_object of a stable placement moved in the plane of a support (Eq. 6).
 
         Parameters
         ----------
         placement : int
-            Its number in `placements`.
+            Its number in `placements`; in a fixture, that of the pose, which has no x, y and yaw.
         x, y : float
-            Where the centre of mass stands [m].
+            Where the centre of mass stands [m], in the plane of the support; where that is level and square to the
+            world, in the world.
         yaw : float
-            Turn about the vertical [rad].
+            Turn about the normal of the support [rad].
+        support : str, optional
+            Name of the support; the first one by default.
 
         Raises
         ------
         PoseError
-            If there is no placement of that number.
+            If there is no placement of that number there.
+        UnknownNameError
+            If there is no support of that name.
         """
-        if not 0 <= placement < len(self.placements):
-            last = len(self.placements) - 1
+        board = self.workcell.support(support)
+        if isinstance(board, Fixture):
+            return self.rests.planar.at(self.rests.number(board.name, placement), np.zeros(3))
+        known = self.object.placements
+        if not 0 <= placement < len(known):
+            last = len(known) - 1
             raise PoseError(f"there is no placement {placement}; '{self.object.name}' has placements 0 to {last}")
-        return planar_transform(np.array([x, y, yaw])) @ self.placement_poses[placement]
+        T: FloatArray = board.T_world_support @ planar_transform([x, y, yaw]) @ known[placement].pose
+        return T
+
+    def station(self, T: FloatArray) -> Station:
+        """Return where an object at `T` (4, 4) T_world_object is."""
+        found = self.rests.find(T, REST_TOLERANCE)
+        if found is not None:
+            rest = self.rests[found[0]]
+            return Station(rest.support.name, rest.placement, found[1])
+        on = support_of(T, self.object, self.workcell)
+        return Station(None if on is None else self.workcell.supports[on].name, None, None)
 
     def feasible_grasps(self, T: Any) -> BoolArray:
         """Return which grasps (G,) are feasible at object pose `T` (4, 4) T_world_object, exactly.

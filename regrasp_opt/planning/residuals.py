@@ -24,10 +24,13 @@ from regrasp_opt.conventions import (
     FloatArray,
     pose_distance,
 )
+from regrasp_opt.geometry.shapes import shape_geometry
 from regrasp_opt.geometry.solids import Solid, distance
 from regrasp_opt.grasps import hold_failures
+from regrasp_opt.objects import ObjectModel
 from regrasp_opt.planning.plan_data import PlanData, Transition
 from regrasp_opt.planning.problem import RegraspProblem
+from regrasp_opt.scene import Fixture, Support, Workcell
 from regrasp_opt.scene.collision_world import CollisionWorld, ContactPhase
 
 
@@ -101,24 +104,54 @@ def compute_residuals(plan: PlanData) -> Residuals:
 
 
 def _end_violations(plan: PlanData) -> list[str]:
-    """Return what keeps the object from lying on the table at start and goal, inside the workspace."""
+    """Return what keeps the object from resting on a support at start and goal, inside the workspace."""
     body, cell = plan.problem.object, plan.problem.workcell
     texts = []
     for name, T in (("start", plan.poses[0]), ("goal", plan.poses[-1])):
-        points = body.vertices @ T[:3, :3].T + T[:3, 3]
+        support, points = _below(T, body, cell)
+        if isinstance(support, Fixture):
+            continue
         lowest = float(points[:, 2].min())
-        if abs(lowest - cell.table.height) > RESTING_TOLERANCE + PLACEMENT_TOLERANCE:
-            texts.append(f"the object does not touch the table at the {name}: {lowest - cell.table.height:.2g} m off")
-        center = (T[:3, :3] @ body.center_of_mass + T[:3, 3])[:2]
-        low, high = cell.bounds.array
-        if (center < low - PLACEMENT_TOLERANCE).any() or (center > high + PLACEMENT_TOLERANCE).any():
+        if abs(lowest) > RESTING_TOLERANCE + PLACEMENT_TOLERANCE:
+            texts.append(f"the object does not touch the {support.name} at the {name}: {lowest:.2g} m off")
+        middle = np.append(T[:3, :3] @ body.center_of_mass + T[:3, 3], 1.0)
+        center = (np.linalg.inv(support.T_world_support) @ middle)[:3]
+        low, high = support.workspace.array
+        if (center[:2] < low - PLACEMENT_TOLERANCE).any() or (center[:2] > high + PLACEMENT_TOLERANCE).any():
             texts.append(f"the {name} lies outside the workspace")
-        touching = points[points[:, 2] - cell.table.height <= RESTING_TOLERANCE + PLACEMENT_TOLERANCE, :2]
-        if len(touching) and _leans_out(touching - center):
+        touching = points[points[:, 2] <= RESTING_TOLERANCE + PLACEMENT_TOLERANCE, :2]
+        up = support.T_world_support[2, :3]
+        if len(touching) and _leans_out(touching - (center[:2] - center[2] / up[2] * up[:2])):
             texts.append(f"the object would tip over at the {name}")
-        elif body.rolls(T):
+        elif body.rolls(np.linalg.inv(support.T_world_support) @ T):
             texts.append(f"the object would roll at the {name}")
     return texts
+
+
+def _below(T: FloatArray, body: ObjectModel, cell: Workcell) -> tuple[Support | Fixture, FloatArray]:
+    """Return the support that the object at `T` (4, 4) is in or on, or nearest to, and its vertices (V, 3) seen there.
+
+    It is on a board that its lowest points touch somewhere within the edges.
+    """
+    world, found = body.vertices @ T[:3, :3].T + T[:3, 3], list[tuple[bool, float, int, FloatArray]]()
+    for number, support in enumerate(cell.supports):
+        inverse = np.linalg.inv(support.T_world_support)
+        points = world @ inverse[:3, :3].T + inverse[:3, 3]
+        if isinstance(support, Fixture):
+            held = any(
+                max(map(float, pose_distance(support.T_world_support @ p.T_support_object, T))) <= PLACEMENT_TOLERANCE
+                for p in support.poses
+                if p.object in (None, body.name)
+            )
+            if held:
+                return support, points
+            continue
+        lowest = float(points[:, 2].min())
+        near = points[points[:, 2] <= lowest + RESTING_TOLERANCE, :2]
+        aside = not (np.abs(near - support.center) <= support.size / 2 + PLACEMENT_TOLERANCE).all(axis=1).any()
+        found.append((aside, abs(lowest), number, points))
+    *_, number, points = min(found, key=lambda each: each[:3])
+    return cell.supports[number], points
 
 
 def _leans_out(points: FloatArray) -> bool:
@@ -129,38 +162,53 @@ def _leans_out(points: FloatArray) -> bool:
 
 
 def _edge_violations(plan: PlanData) -> list[str]:
-    """Return at which poses the object touches the table beyond its edges.
+    """Return at which poses the object touches its support beyond the edges, or is too near to another support.
 
-    It touches with its lowest points, and with all that are as near to the table as resting may be. Rounding is given
+    It touches with its lowest points, and with all that are as near to the board as resting may be. Rounding is given
     in favour of the plan.
     """
-    vertices, table = plan.problem.object.vertices, plan.problem.workcell.table
-    texts = []
+    body, cell, texts = plan.problem.object, plan.problem.workcell, []
+    shapes = [[(Solid(shape_geometry(s)), s.pose) for s in support.shapes] for support in cell.supports]
     for i, T in enumerate(plan.poses):
-        points = vertices @ T[:3, :3].T + T[:3, 3]
-        lowest, near = points[:, 2].min(), table.height + RESTING_TOLERANCE
-        touching = points[points[:, 2] <= max(lowest + PLACEMENT_TOLERANCE, near - PLACEMENT_TOLERANCE), :2]
-        if (np.abs(touching - table.center) > table.size / 2 + PLACEMENT_TOLERANCE).any():
-            texts.append(f"the object stands over the edge of the table at pose {i}")
+        support, points = _below(T, body, cell)
+        if isinstance(support, Support):
+            lowest, near = points[:, 2].min(), RESTING_TOLERANCE
+            touching = points[points[:, 2] <= max(lowest + PLACEMENT_TOLERANCE, near - PLACEMENT_TOLERANCE), :2]
+            if (np.abs(touching - support.center) > support.size / 2 + PLACEMENT_TOLERANCE).any():
+                texts.append(f"the object stands over the edge of the {support.name} at pose {i}")
+        for other, solids in zip(cell.supports, shapes, strict=True):
+            if other is support or (isinstance(other, Support) and _clears(other, T, body)):
+                continue
+            least = min(distance(body.solid, solid, T, pose) for solid, pose in solids) if solids else np.inf
+            if least < cell.clearance.gripper - CLEARANCE_TOLERANCE:
+                texts.append(f"the object is {least:.2g} m from the {other.name} at pose {i}")
     return texts
+
+
+def _clears(board: Support, T: FloatArray, body: ObjectModel) -> bool:
+    """Return whether the object at `T` (4, 4) is wholly above the plane of a board."""
+    up = board.T_world_support[:3, 2]
+    lowest = ((body.vertices @ T[:3, :3].T + T[:3, 3] - board.T_world_support[:3, 3]) @ up).min()
+    return bool(lowest >= -RESTING_TOLERANCE - PLACEMENT_TOLERANCE)
 
 
 def _placement_errors(plan: PlanData, problems: list[str]) -> FloatArray:
     """Return how far intermediate poses are from stable placements inside the workspace; append what is wrong."""
-    errors = []
-    low, high = plan.problem.workcell.bounds.array
+    errors, rests = [], plan.problem.rests
     for i, (T, m, xi) in enumerate(zip(plan.poses[1:-1], plan.placements, plan.xi, strict=True), start=1):
-        if not 0 <= m < len(plan.problem.placements):
+        if not 0 <= m < len(rests):
             problems.append(f"pose {i} names placement {m}, which does not exist")
             errors.append(np.inf)
             continue
         c, s = np.cos(xi[2]), np.sin(xi[2])
         planar = np.array([[c, -s, 0, xi[0]], [s, c, 0, xi[1]], [0, 0, 1, 0], [0, 0, 0, 1.0]])
-        error = max(float(e) for e in pose_distance(planar @ plan.problem.placements[m].pose, T))
+        wanted = rests.planar.surfaces[m] @ planar @ rests.planar.bases[m]
+        error = max(float(e) for e in pose_distance(wanted, T))
         errors.append(error)
         if error > PLACEMENT_TOLERANCE:
-            problems.append(f"pose {i} is {error:.2g} away from stable placement {m}")
-        if (xi[:2] < low - PLACEMENT_TOLERANCE).any() or (xi[:2] > high + PLACEMENT_TOLERANCE).any():
+            problems.append(f"pose {i} is {error:.2g} away from stable placement {rests[m].label}")
+        low, high = rests.planar.low[m], rests.planar.high[m]
+        if (xi < low - PLACEMENT_TOLERANCE).any() or (xi > high + PLACEMENT_TOLERANCE).any():
             problems.append(f"pose {i} lies outside the workspace")
     return np.array(errors)
 

@@ -11,12 +11,14 @@ from functools import cached_property
 import numpy as np
 
 from regrasp_opt.connectivity import TableRule
-from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, planar_transform
+from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
 from regrasp_opt.feasibility import FeasibilityChecker
 from regrasp_opt.feasibility.held_tool import wrist_in_object
 from regrasp_opt.feasibility.obstacles import ObstacleRule
-from regrasp_opt.feasibility.tabletop import points_in_table
+from regrasp_opt.feasibility.tabletop import points_in_support
 from regrasp_opt.objects import ObjectModel
+from regrasp_opt.planning.rests import Rests
+from regrasp_opt.scene import Support
 
 
 class GraspRules:
@@ -27,8 +29,7 @@ class GraspRules:
     checker : FeasibilityChecker
         Of G grasps.
     body : ObjectModel
-    placements : (S, 4, 4)
-        Stable placements, T_world_object at xi = 0.
+    rests : Rests
     without_obstacles : GraspRules, optional
         The rules of the same problem with other obstacles; all but those of the obstacles are taken from there.
     """
@@ -37,20 +38,21 @@ class GraspRules:
         self,
         checker: FeasibilityChecker,
         body: ObjectModel,
-        placements: FloatArray,
+        rests: Rests,
         without_obstacles: GraspRules | None = None,
     ) -> None:
-        self._checker, self._body, self._placements = checker, body, placements
+        self._checker, self._body, self._rests = checker, body, rests
         self._same = without_obstacles
 
     @cached_property
     def table(self) -> TableRule:
-        """Which grasps the table makes infeasible at a placement, whatever the planar parameters."""
+        """Which grasps its support makes infeasible at a placement, whatever the planar parameters."""
         if self._same is not None:
             return self._same.table
-        table = self._checker.workcell.table
-        corners = table.center + np.array([[-0.5], [0.5]]) * table.size
-        return TableRule(points_in_table(self._checker.workcell, self._checker.grasps, self._placements), corners)
+        bases, on = self._rests.planar.bases, [rest.support for rest in self._rests]
+        edges = [support.edges if isinstance(support, Support) else np.zeros((2, 2)) for support in on]
+        points = points_in_support(self._checker.workcell, self._checker.grasps, bases, on)
+        return TableRule(points, np.array(edges).reshape(-1, 2, 2))
 
     @cached_property
     def never(self) -> BoolArray:
@@ -61,8 +63,9 @@ class GraspRules:
 
     @cached_property
     def obstacles(self) -> ObstacleRule | None:
-        """What the obstacles rule out; None where there is none."""
-        return ObstacleRule(self._checker) if self._checker.workcell.obstacles else None
+        """What obstacles, and supports that the object is not on, rule out; None where there are none."""
+        cell = self._checker.workcell
+        return ObstacleRule(self._checker) if cell.obstacles or len(cell.supports) > 1 else None
 
     def free_space(self, placements: IntArray, xi: FloatArray) -> BoolArray:
         """Return which grasps (..., G) table and object rule out at `placements` (...) and `xi` (..., 3)."""
@@ -72,7 +75,7 @@ class GraspRules:
         """Return which of the `candidates` (..., G) the obstacles rule out."""
         if self.obstacles is None:
             return np.zeros_like(candidates)
-        T = (planar_transform(xi) @ self._placements[placements]).reshape(-1, 4, 4)
+        T = self._rests.planar.at(placements, xi).reshape(-1, 4, 4)
         return self.obstacles(T, candidates.reshape(-1, candidates.shape[-1])).reshape(candidates.shape)
 
     def __call__(self, placements: IntArray, xi: FloatArray) -> BoolArray:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from regrasp_opt.connectivity import CostOptions, SequenceObjective, exact_energy, pair_score, sequence_cost
-from regrasp_opt.conventions import BoolArray, FloatArray, as_seed, planar_transform
+from regrasp_opt.conventions import BoolArray, FloatArray, as_seed
 from regrasp_opt.errors import OptionError
 from regrasp_opt.planning.ends import checked_end, known_energy
 from regrasp_opt.planning.exact import PORTION, SIZES, Path, RestingPoses
@@ -53,7 +53,7 @@ def solve_sequence(
     ----------
     problem : RegraspProblem
     start, goal : (4, 4) array_like
-        T_world_object; the object rests on the table at both.
+        T_world_object; the object rests on a support at both.
     refiner : {"ipopt", "lattice", "langevin", "langevin-ipopt", "paper", "exact"} or Refiner or Recipe
         What improves candidate sequences, see `regrasp_opt.planning.recipes`. An object with the `Refiner` protocol
         gets lattice chains as start points. "exact" needs no energy: random resting poses, exact checks, and the
@@ -283,9 +283,7 @@ class _Search:
 
     def _verify(self, objective: SequenceObjective, candidates: Candidates, index: int) -> list[PoseFeasibility] | None:
         xi = candidates.xi[index]
-        low, high = objective.bounds
-        inside = np.isfinite(xi).all() and (xi[:, :2] >= low - 1e-9).all() and (xi[:, :2] <= high + 1e-9).all()
-        if not inside:  # a refiner is not believed
+        if not objective.placements.allow(candidates.placements[index], xi):  # a refiner is not believed
             return None
         poses = objective.poses(candidates.placements[index], xi)
         middle = [self._knowledge(T) for T in poses]
@@ -366,7 +364,7 @@ class _ExactSearch(_Search):
     def _deeper(self, max_regrasps: int) -> RegraspPlan:
         problem, fewest = self.problem, max_regrasps
         rng = np.random.default_rng(self.seed)
-        poses = RestingPoses(problem.checker, problem.placement_poses, problem.workcell.bounds.array, rng)
+        poses = RestingPoses(problem.checker, problem.rests.planar, rng)
         found: RegraspPlan | None = None
         for size in SIZES if max_regrasps else ():
             if self.clock.over:
@@ -385,9 +383,10 @@ class _ExactSearch(_Search):
         return found or self.result(Status.NOT_FOUND)
 
     def _accepted_plan(self, path: Path) -> RegraspPlan | None:
-        T = planar_transform(path.xi) @ self.problem.placement_poses[path.placements]
+        T = self.problem.rests.planar.at(path.placements, path.xi)
         known = zip(T, path.feasible, strict=True)
         chain = [self.ends[0], *(PoseFeasibility(self.problem.checker, *each) for each in known), self.ends[1]]
         cost = float(sequence_cost(np.array([exact_energy(pose.all()) for pose in chain]), self.options))
+        cost += float(self.problem.rests.planar.weights[path.placements].sum())
         plan = self.result(Status.SOLVED, cost=cost, chain=chain, placements=path.placements, xi=path.xi)
         return plan if self._accepted(plan) else None

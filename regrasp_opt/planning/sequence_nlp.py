@@ -54,7 +54,8 @@ def sequence_nlp(
         options=options,
     )
     values = {"mask": np.ones(len(energy))} if isinstance(mask, str) else {}
-    return RegraspNLP(functions, problem.workcell.bounds.array, xi, values)
+    planar = problem.rests.planar[numbers]
+    return RegraspNLP(functions, (planar.low, planar.high), xi, values)
 
 
 def _count(num_regrasps: Any) -> int:
@@ -94,4 +95,6 @@ def _from_lattice(
             return chains.placements[fits][0], chains.xi[fits][0]
     if numbers is None:
         raise OptionError("placements cannot be chosen for these ends; give placements")
-    return numbers, np.tile(np.append(problem.workcell.bounds.array.mean(axis=0), 0.0), (count, 1))
+    planar = problem.rests.planar
+    middle = planar.inside(numbers, np.full((count, 3), 0.5))
+    return numbers, np.where(np.isfinite(planar.high[numbers]), middle, 0.0)

@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from regrasp_opt.conventions import FloatArray, planar_transform
+from regrasp_opt.conventions import FloatArray
 from regrasp_opt.errors import GraspError, PoseError
-from regrasp_opt.feasibility.dataset import random_poses
 from regrasp_opt.feasibility.diagnosis import diagnose_poses, summary
 from regrasp_opt.planning.ends import checked_end
 from regrasp_opt.planning.problem import RegraspProblem
@@ -32,11 +31,11 @@ def random_graspable_pose(problem: RegraspProblem, rng: np.random.Generator) -> 
     GraspError
         If none is found.
     """
-    bounds = problem.workcell.bounds.array
+    planar = problem.rests.planar
     empty, refused = list[FloatArray](), ""
     for _ in range(_ATTEMPTS):
-        placement, xi = random_poses(problem.placement_poses, bounds, 1, rng)
-        T = planar_transform(xi[0]) @ problem.placement_poses[placement[0]]
+        numbers, xi = planar.draw(1, rng)
+        T = planar.at(numbers[0], xi[0])
         try:
             checked_end(T, "start", problem)
         except PoseError as error:

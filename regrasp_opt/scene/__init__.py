@@ -2,13 +2,15 @@
 
 from regrasp_opt.scene.arm import Arm
 from regrasp_opt.scene.loading import WORKCELL_NAMES, as_obstacles, load_obstacles, load_workcell
-from regrasp_opt.scene.support import Support
-from regrasp_opt.scene.workcell import Clearance, Workcell, WorkspaceBounds
+from regrasp_opt.scene.support import Fixture, HeldPose, Support, WorkspaceBounds
+from regrasp_opt.scene.workcell import Clearance, Workcell
 
 __all__ = [
     "WORKCELL_NAMES",
     "Arm",
     "Clearance",
+    "Fixture",
+    "HeldPose",
     "Support",
     "Workcell",
     "WorkspaceBounds",

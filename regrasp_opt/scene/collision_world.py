@@ -33,9 +33,9 @@ class ContactPhase(Enum):
     MOVE = auto()
     """Empty hand beside a resting object. Its pairs begin with those of `GRASP`."""
     LIFT = auto()
-    """Object in the hand; it may touch the supports."""
+    """Object in the hand; it may touch the support that it leaves or is put on."""
     CARRY = auto()
-    """Object in the hand. Its pairs begin with those of `LIFT`."""
+    """Object in the hand. Its pairs begin with those of `LIFT` from any support."""
     REST = auto()
     """The object alone beside what stands still, on a support."""
     HOME = auto()
@@ -81,6 +81,8 @@ class CollisionWorld:
         Indices of the arm's bodies that move, and of those that do not.
     palm, fingers, gripper : tuple of int
     supports, obstacles : tuple of int
+    by_support : list of tuple of int
+        The bodies of each support.
     object : int
     surroundings : frozenset of int
         What the clearance of a grasp is measured to: supports, obstacles, those in the robot's own file, the object.
@@ -100,7 +102,8 @@ class CollisionWorld:
         self.palm = self._add(effector.body, *on_flange)
         self.fingers = self._add(effector.finger_boxes(0.0), *on_flange)
         self.gripper = (*self.palm, *self.fingers)
-        self.supports = self._add([support.shape for support in workcell.supports], *fixed)
+        self.by_support = [self._add(support.shapes, *fixed) for support in workcell.supports]
+        self.supports = tuple(i for bodies in self.by_support for i in bodies)
         self.obstacles = self._add(workcell.obstacles, *fixed)
         self.object = len(self.bodies)
         if model is not None:
@@ -123,11 +126,16 @@ class CollisionWorld:
         arm = self.workcell.arm
         return [arm.robot.chain.tip @ box.pose for box in arm.end_effector.finger_boxes(width)]
 
-    def pairs(self, phase: ContactPhase) -> list[Pair]:
-        """Return the bodies that must be apart in a phase, with their clearances."""
+    def pairs(self, phase: ContactPhase, on: int | None = None) -> list[Pair]:
+        """Return the bodies that must be apart in a phase, with their clearances.
+
+        The object rests `on` the support of this number, leaves it, or is put there; None stands for the only one, or
+        for any: then it may be near all of them.
+        """
         robot, near, held = self.workcell.arm.robot, self.workcell.clearance, (self.object,)
+        others = () if on is None else tuple(i for i in self.supports if i not in self.by_support[on])
         if phase is ContactPhase.REST:
-            return _apart(held, (*self.obstacles, *self.still), near.gripper)
+            return _apart(held, (*self.obstacles, *self.still, *others), near.gripper)
         around, own = (*self.supports, *self.obstacles), robot.obstacles
         base = [i for i in self.still if i not in own]
         inner = [i for i in self.moving if self.bodies[i].joint < robot.dof]
@@ -147,6 +155,8 @@ class CollisionWorld:
             pairs += _apart(self.gripper, held, 0.0)
         if phase in (ContactPhase.LIFT, ContactPhase.CARRY):
             pairs += _apart(held, inner, near.arm) + _apart(held, (*self.still, *self.obstacles), near.gripper)
+        if phase is ContactPhase.LIFT:
+            pairs += _apart(held, others, near.gripper)
         if phase is ContactPhase.CARRY:
             pairs += _apart(held, self.supports, near.gripper)
         return pairs

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,21 +17,36 @@ from regrasp_opt.end_effectors import END_EFFECTOR_NAMES, EndEffector, load_end_
 from regrasp_opt.errors import HomeCollisionError, MeshError, PoseError, UnknownNameError, WorkcellError
 from regrasp_opt.files import report_outside
 from regrasp_opt.geometry.mesh_files import LARGEST_MESH, read_triangles, unlikely_size
-from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh, Shape
-from regrasp_opt.geometry.solids import find_shells
+from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh, Shape, shape_geometry
+from regrasp_opt.geometry.solids import Solid, distance, find_shells
 from regrasp_opt.robots import Robot, load_robot
 from regrasp_opt.scene.arm import Arm
 from regrasp_opt.scene.collision_world import collision_at_home
-from regrasp_opt.scene.schema import ObstacleSection, ObstaclesFile, RobotSection, Vector, WorkcellFile
-from regrasp_opt.scene.support import Support
-from regrasp_opt.scene.workcell import Clearance, Workcell, WorkspaceBounds
-from regrasp_opt.schemas import File, read_toml, validated
+from regrasp_opt.scene.schema import (
+    ArmSection,
+    ObstacleSection,
+    ObstaclesFile,
+    SupportSection,
+    Vector,
+    WorkcellFile,
+    WorkcellFile1,
+)
+from regrasp_opt.scene.support import Fixture, HeldPose, Support, WorkspaceBounds
+from regrasp_opt.scene.workcell import Clearance, Workcell
+from regrasp_opt.schemas import parse_toml, read_toml, validated
 
 logger = logging.getLogger(__name__)
 
 WORKCELL_NAMES = tuple(f"nova2-{name}" for name in END_EFFECTOR_NAMES)
 """The built-in workcells: the Nova2 with each of the built-in end-effectors."""
 
+
+FRICTION = 0.5
+"""Friction between objects and a board that gives none: the tangent of the tilt up to which objects stay."""
+THICKNESS = 0.05
+"""Thickness of a board that gives none [m]."""
+OVERLAP = 1e-4
+"""Depth to which two supports may overlap [m]: boards of one shelf may touch."""
 
 LARGEST_WORKSPACE = 10.0
 """A workspace wider than this is taken to be in another unit [m]; its pose lattice would not fit into memory."""
@@ -60,11 +75,11 @@ def load_workcell(
     """
     if isinstance(name_or_path, str) and name_or_path in WORKCELL_NAMES:
         path = Path(str(files("regrasp_opt"))) / "data" / "workcells" / f"{name_or_path}.toml"
-        return _build(_parse(path, WorkcellFile, "workcell"), path, "built-in", end_effector)
+        return _build(path, "built-in", end_effector)
     path = Path(name_or_path)
     if isinstance(name_or_path, str) and path.suffix.lower() != ".toml" and path.name == name_or_path:
         raise UnknownNameError("workcell", name_or_path, WORKCELL_NAMES)
-    return _build(_parse(path, WorkcellFile, "workcell"), path, str(path), end_effector)
+    return _build(path, str(path), end_effector)
 
 
 def load_obstacles(path: str | os.PathLike[str]) -> tuple[Shape, ...]:
@@ -76,7 +91,8 @@ def load_obstacles(path: str | os.PathLike[str]) -> tuple[Shape, ...]:
         If the file cannot be read, or holds a wrong key, value or geometry.
     """
     path = Path(path)
-    return tuple(_obstacle(section, path) for section in _parse(path, ObstaclesFile, "obstacles").obstacles)
+    content = read_toml(_text(path, "obstacles"), ObstaclesFile, str(path))
+    return tuple(_obstacle(section, path) for section in content.obstacles)
 
 
 def as_obstacles(obstacles: Iterable[Shape | Mapping[str, Any]]) -> tuple[Shape, ...]:
@@ -118,41 +134,102 @@ def _sound(shape: Shape, where: str) -> Shape:
     return replace(shape, pose=pose)
 
 
-def _parse(path: Path, schema: type[File], what: str) -> File:
+def _text(path: Path, what: str) -> str:
     try:
-        text = path.read_text("utf-8")
+        return path.read_text("utf-8")
     except (OSError, ValueError) as error:
         raise WorkcellError(f"{what} file {path} cannot be read; give the path of a TOML file") from error
-    return read_toml(text, schema, str(path))
 
 
-def _build(content: WorkcellFile, path: Path, source: str, override: str | os.PathLike[str] | None) -> Workcell:
-    table, workspace, margins = content.table, content.workspace, content.clearance
+class _Keys(NamedTuple):
+    """What messages call the parts of a file."""
+
+    robot: str
+    robot_model: str
+    home: str
+    tool: str
+    tool_model: str
+    workspace: str
+
+
+_KEYS = {
+    1: _Keys("robot", "robot.model", "robot.home", "end_effector", "end_effector.model", "workspace"),
+    2: _Keys("arms.0", "arms.0.robot", "arms.0.home", "arms.0", "arms.0.end_effector", "supports.{}.workspace"),
+}
+
+
+def _read(path: Path) -> tuple[WorkcellFile, _Keys]:
+    data = parse_toml(_text(path, "workcell"), str(path))
+    if data.get("schema", 1) not in _KEYS:
+        raise WorkcellError(f"{path}: key 'schema' is {data['schema']!r}; this version reads schemas 1 and 2")
+    if data.get("schema") == 2:
+        return validated(data, WorkcellFile, str(path), WorkcellError), _KEYS[2]
+    return validated(data, WorkcellFile1, str(path), WorkcellError).current(), _KEYS[1]
+
+
+def _build(path: Path, source: str, override: str | os.PathLike[str] | None) -> Workcell:
+    content, keys = _read(path)
+    (arm,), margins = content.arms, content.clearance
     report_outside(path, _named_files(content, path, override))
     workcell = Workcell(
         name=content.name or path.stem,
         arm=Arm(
-            _robot(content.robot, path),
-            _pose(content.robot.position, content.robot.rpy),
-            _end_effector(content, path) if override is None else load_end_effector(override),
+            _robot(arm, path, keys),
+            _pose(arm.position, arm.rpy),
+            _end_effector(arm, path, keys) if override is None else load_end_effector(override),
         ),
-        supports=(Support.table(table.height, np.array(table.center), np.array(table.size), table.thickness),),
+        supports=tuple(_support(section, path, f"supports.{i}") for i, section in enumerate(content.supports)),
         obstacles=tuple(_obstacle(section, path) for section in content.obstacles),
-        bounds=WorkspaceBounds(workspace.x, workspace.y),
         clearance=Clearance(margins.arm, margins.gripper, margins.self_collision),
         source=source,
         end_effector_override=_override(override),
     )
-    _check(workcell, path)
+    _check(workcell, path, keys)
     return workcell
+
+
+def _support(section: SupportSection, path: Path, key: str) -> Support | Fixture:
+    if section.kind == "fixture":
+        return _fixture(section, path)
+    friction = section.friction or FRICTION
+    center, size = np.array(section.center), np.array(section.size)
+    space = None if section.workspace is None else WorkspaceBounds(section.workspace.x, section.workspace.y)
+    support = Support.table(
+        section.height or 0.0,
+        center,
+        size,
+        section.thickness or THICKNESS,
+        space,
+        name=section.name,
+        rotation=rotation_rpy(*section.rpy) if any(section.rpy) else None,
+        weight=section.weight,
+    )
+    if support.normal[2] <= 0 or support.slope > friction + 1e-9:
+        raise WorkcellError(
+            f"{path}: key '{key}.rpy': '{section.name}' is tilted by {np.degrees(np.arccos(support.normal[2])):.1f} "
+            f"degrees, and objects slide off above {np.degrees(np.arctan(friction)):.1f}; tilt it less, or give its "
+            f"'friction'"
+        )
+    return support
+
+
+def _fixture(section: SupportSection, path: Path) -> Fixture:
+    assert section.position is not None and section.poses is not None
+    T = _pose(section.position, section.rpy)
+    bodies = [_obstacle(each, path) for each in section.bodies or ()]
+    shapes = tuple(replace(each, name=f"{section.name} {each.name}", pose=T @ each.pose) for each in bodies)
+    poses = tuple(HeldPose(each.name, _pose(each.position, each.rpy), each.object) for each in section.poses)
+    return Fixture(section.name, T, shapes, poses, section.weight)
 
 
 def _named_files(content: WorkcellFile, path: Path, override: str | os.PathLike[str] | None) -> list[Path]:
     """Return the files and folders that the file at `path` has read; built-in names are none."""
-    models = [content.robot.model, *([content.end_effector.model] if override is None else [])]
+    (arm,) = content.arms
+    models = [arm.robot, *([arm.end_effector] if override is None else [])]
     named = [file for file in (_relative(name, path.parent) for name in models) if isinstance(file, Path)]
-    named += [path.parent / name for name in content.robot.package_dirs]
-    return named + [path.parent / section.file for section in content.obstacles if section.file is not None]
+    named += [path.parent / name for name in arm.package_dirs]
+    bodies = [body for support in content.supports for body in support.bodies or ()]
+    return named + [path.parent / section.file for section in (*content.obstacles, *bodies) if section.file is not None]
 
 
 def _override(end_effector: str | os.PathLike[str] | None) -> str | None:
@@ -162,55 +239,88 @@ def _override(end_effector: str | os.PathLike[str] | None) -> str | None:
     return str(Path(end_effector).resolve())
 
 
-def _check(workcell: Workcell, path: Path) -> None:
+def _check(workcell: Workcell, path: Path, keys: _Keys) -> None:
     """Raise a WorkcellError where the parts do not fit each other."""
-    bounds, table = workcell.bounds, workcell.table
-    for axis, (low, high), middle, size in zip("xy", (bounds.x, bounds.y), table.center, table.size, strict=True):
-        if high - low > LARGEST_WORKSPACE:
-            raise WorkcellError(
-                f"{path}: key 'workspace.{axis}': {low:g} to {high:g} is wider than {LARGEST_WORKSPACE:g} m; give "
-                "metres, and no more than the arm can reach"
-            )
-        if low < middle - size / 2 - 1e-9 or high > middle + size / 2 + 1e-9:
-            raise WorkcellError(
-                f"{path}: key 'workspace.{axis}': {low:g} to {high:g} leaves the table, which ends at "
-                f"{middle - size / 2:g} and {middle + size / 2:g}; keep it within"
-            )
+    if not isinstance(workcell.supports[0], Support):
+        raise WorkcellError(f"{path}: key 'supports.0': the first support is a fixture; put a board first")
+    for number, board in enumerate(workcell.supports):
+        if isinstance(board, Support):
+            _check_workspace(board, f"{path}: key '{keys.workspace.format(number)}.")
     twice = workcell.repeated_name
     if twice is not None:
         raise WorkcellError(f"{path}: key 'obstacles': the name '{twice}' is taken; give each obstacle its own")
+    _check_supports(workcell, path)
     hit = collision_at_home(workcell)
     if hit is not None:
         raise HomeCollisionError(
             f"{path}: '{hit[0]}' collides with '{hit[1]}', or is nearer than its clearance, while the robot is at "
-            "home; choose another 'robot.home', or add the pair to 'robot.ignore_collisions' if both are links made "
-            "to touch",
+            f"home; choose another '{keys.home}', or add the pair to '{keys.robot}.ignore_collisions' if both are "
+            "links made to touch",
             workcell,
         )
 
 
-def _robot(section: RobotSection, path: Path) -> Robot:
+def _check_workspace(board: Support, where: str) -> None:
+    space = board.workspace
+    for axis, (low, high), middle, size in zip("xy", (space.x, space.y), board.center, board.size, strict=True):
+        if high - low > LARGEST_WORKSPACE:
+            raise WorkcellError(
+                f"{where}{axis}': {low:g} to {high:g} is wider than {LARGEST_WORKSPACE:g} m; give "
+                "metres, and no more than the arm can reach"
+            )
+        if low < middle - size / 2 - 1e-9 or high > middle + size / 2 + 1e-9:
+            raise WorkcellError(
+                f"{where}{axis}': {low:g} to {high:g} leaves the {board.name}, which ends at "
+                f"{middle - size / 2:g} and {middle + size / 2:g}; keep it within"
+            )
+
+
+def _check_supports(workcell: Workcell, path: Path) -> None:
+    """Raise a WorkcellError where two supports overlap, or one is out of the arm's reach."""
+    solids = [[(Solid(shape_geometry(s)), s.pose) for s in support.shapes] for support in workcell.supports]
+    for j, other in enumerate(workcell.supports):
+        for i in range(j):
+            if any(distance(a, b, T, U) < -OVERLAP for a, T in solids[i] for b, U in solids[j]):
+                raise WorkcellError(
+                    f"{path}: key 'supports.{j}': '{other.name}' overlaps '{workcell.supports[i].name}'; move it away"
+                )
+    base, reach = workcell.arm.T_world_base[:3, 3], workcell.arm.robot.max_reach + workcell.arm.end_effector.tcp_offset
+    for number, support in enumerate(workcell.supports[1:], start=1):
+        if isinstance(support, Support):
+            nearest = np.clip(support.seen(base)[:2], *support.workspace.array)
+            away = float(np.linalg.norm(support.seen(base) - np.append(nearest, 0.0)))
+        else:
+            held = [support.T_world_support @ pose.T_support_object for pose in support.poses]
+            away = min(float(np.linalg.norm(T[:3, 3] - base)) for T in held)
+        if away > reach:
+            raise WorkcellError(
+                f"{path}: key 'supports.{number}': '{support.name}' is {away:.2f} m from the robot's base, which "
+                f"reaches {reach:.2f} m; move it nearer"
+            )
+
+
+def _robot(section: ArmSection, path: Path, keys: _Keys) -> Robot:
     try:
         return load_robot(
-            _relative(section.model, path.parent),
+            _relative(section.robot, path.parent),
             tip=section.tip,
             package_dirs=[path.parent / name for name in section.package_dirs],
             home=section.home,
             ignore_collisions=section.ignore_collisions,
         )
     except UnknownNameError as error:
-        raise WorkcellError(f"{path}: key 'robot.model': {error}, or the path of a URDF file") from error
+        raise WorkcellError(f"{path}: key '{keys.robot_model}': {error}, or the path of a URDF file") from error
     except WorkcellError as error:
-        raise WorkcellError(f"{path}: section 'robot': {error}") from error
+        raise WorkcellError(f"{path}: section '{keys.robot}': {error}") from error
 
 
-def _end_effector(content: WorkcellFile, path: Path) -> EndEffector:
+def _end_effector(section: ArmSection, path: Path, keys: _Keys) -> EndEffector:
     try:
-        return load_end_effector(_relative(content.end_effector.model, path.parent))
+        return load_end_effector(_relative(section.end_effector, path.parent))
     except UnknownNameError as error:
-        raise WorkcellError(f"{path}: key 'end_effector.model': {error}, or the path of a file") from error
+        raise WorkcellError(f"{path}: key '{keys.tool_model}': {error}, or the path of a file") from error
     except WorkcellError as error:
-        raise WorkcellError(f"{path}: section 'end_effector': {error}") from error
+        raise WorkcellError(f"{path}: section '{keys.tool}': {error}") from error
 
 
 def _relative(name: str, folder: Path) -> str | Path:

@@ -19,6 +19,7 @@ from regrasp_opt.files import content_hash
 from regrasp_opt.geometry.mesh_files import LARGEST_MESH
 from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh, Shape
 from regrasp_opt.scene.schema import SIZE_KEYS, ClearanceSection, Length, TableSection, Vector, WorkspaceSection
+from regrasp_opt.scene.support import Fixture, Support
 from regrasp_opt.scene.workcell import Workcell
 from regrasp_opt.schemas import Section
 
@@ -61,13 +62,6 @@ class ArmRecord(Placed):
     end_effector: Reference
 
 
-class SupportRecord(TableSection):
-    """What objects stand on, and where."""
-
-    name: str
-    workspace: WorkspaceSection
-
-
 class ObstacleRecord(Placed):
     """A fixed shape; `added` if the workcell's file does not hold it."""
 
@@ -103,11 +97,33 @@ class ObstacleRecord(Placed):
         return Mesh(self.name, np.array(self.vertices), np.array(self.faces), self.pose)
 
 
+class HeldPoseRecord(Placed):
+    """A pose of an object in a fixture, in the fixture's frame."""
+
+    object: str | None = None
+
+
+class SupportRecord(Section):
+    """What objects stand on, and where; a fixture's bodies are in the world."""
+
+    name: str
+    height: float | None = None
+    center: tuple[float, float] | None = None
+    size: tuple[Length, Length] | None = None
+    thickness: Length | None = None
+    workspace: WorkspaceSection | None = None
+    rpy: Vector = (0.0, 0.0, 0.0)
+    weight: float = 0.0
+    position: Vector | None = None
+    bodies: list[ObstacleRecord] = Field(default_factory=list)
+    poses: list[HeldPoseRecord] = Field(default_factory=list)
+
+
 class SceneRecord(Section):
     """A workcell as it is."""
 
     arms: Annotated[list[ArmRecord], Field(min_length=1, max_length=1)]
-    supports: Annotated[list[SupportRecord], Field(min_length=1, max_length=1)]
+    supports: Annotated[list[SupportRecord], Field(min_length=1)]
     obstacles: list[ObstacleRecord]
     added_fingerprint: str
     clearance: ClearanceSection
@@ -115,21 +131,17 @@ class SceneRecord(Section):
 
 def scene_content(cell: Workcell) -> dict[str, Any]:
     """Return the record of `cell`, as JSON can hold it."""
-    robot, effector, workspace = cell.arm.robot, cell.arm.end_effector, {"x": cell.bounds.x, "y": cell.bounds.y}
+    robot, effector = cell.arm.robot, cell.arm.end_effector
     built_in = Path(robot.urdf_path).is_relative_to(Path(str(files("regrasp_opt"))))
     arm = {
         "robot": reference(robot, "built-in" if built_in else robot.urdf_path),
         "end_effector": reference(effector, effector.source),
     }
-    supports = [
-        {name: np.asarray(getattr(support, name)).tolist() for name in ("name", *TableSection.model_fields)}
-        for support in cell.supports
-    ]
     obstacles = [ObstacleRecord.model_validate(_obstacle(shape, shape.name in cell.added)) for shape in cell.obstacles]
     record = SceneRecord.model_validate(
         {
             "arms": [{"name": "arm", **_placed(cell.arm.T_world_base), **arm}],
-            "supports": [{**support, "workspace": workspace} for support in supports],
+            "supports": [_support(support) for support in cell.supports],
             "obstacles": obstacles,
             "added_fingerprint": added_fingerprint(obstacles),
             "clearance": vars(cell.clearance),
@@ -160,6 +172,17 @@ def absolute(source: str) -> str:
 
 def _placed(T: FloatArray) -> dict[str, Any]:
     return {"position": T[:3, 3].tolist(), "rpy": rpy_angles(T[:3, :3]).tolist()}
+
+
+def _support(support: Support | Fixture) -> dict[str, Any]:
+    turn = rpy_angles(support.T_world_support[:3, :3]).tolist()
+    common = {"name": support.name, "rpy": turn, "weight": support.weight}
+    if isinstance(support, Support):
+        sizes = {name: np.asarray(getattr(support, name)).tolist() for name in TableSection.model_fields}
+        return {**common, **sizes, "workspace": vars(support.workspace)}
+    poses = [{"name": p.name, "object": p.object, **_placed(p.T_support_object)} for p in support.poses]
+    bodies = [_obstacle(shape, False) for shape in support.shapes]
+    return {**common, "position": support.T_world_support[:3, 3].tolist(), "bodies": bodies, "poses": poses}
 
 
 def _obstacle(shape: Shape, added: bool) -> dict[str, Any]:
@@ -208,6 +231,8 @@ def _differences(what: str, before: Section, now: Section) -> list[str]:
             return [f"{what} is a {new} instead of a {old}"]
         if isinstance(old, Section) and not isinstance(old, Reference):
             texts += _differences(f"the {key} of {what}", old, new)
+        elif None in (old, new) or isinstance(old, list):
+            texts.append(f"the {key} of {what} is another")
         elif key == "fingerprint" or (isinstance(old, Reference) and old.name == new.name):
             texts.append(f"the {'mesh' if key == 'fingerprint' else key} of {what} is another")
         else:

@@ -18,16 +18,21 @@ Interval = Annotated[tuple[float, float], AfterValidator(ascending)]
 Vector = tuple[float, float, float]
 
 
-class RobotSection(Section):
-    """Which robot, where its base stands in the world, and where it rests."""
+class MountingSection(Section):
+    """Where a robot's base stands in the world, where it rests, and how its file is read."""
 
-    model: str
     tip: str | None = None
     position: Vector = (0.0, 0.0, 0.0)
     rpy: Vector = (0.0, 0.0, 0.0)
     home: list[float] | None = None
     ignore_collisions: list[tuple[str, str]] = Field(default_factory=list)
     package_dirs: list[str] = Field(default_factory=list)
+
+
+class RobotSection(MountingSection):
+    """Which robot, where its base stands in the world, and where it rests."""
+
+    model: str
 
 
 class EndEffectorSection(Section):
@@ -85,8 +90,68 @@ class ObstacleSection(Section):
         return self
 
 
+class HeldPoseSection(Section):
+    """A pose of an object in a fixture, in the fixture's frame [m, rad]."""
+
+    name: str
+    position: Vector
+    rpy: Vector = (0.0, 0.0, 0.0)
+    object: str | None = None
+
+
+class SupportSection(Section):
+    """A board, by default, or a fixture, whose bodies and poses are given in its own frame [m, rad]."""
+
+    name: str
+    kind: Literal["board", "fixture"] = "board"
+    rpy: Vector = (0.0, 0.0, 0.0)
+    weight: float = 0.0
+    height: float | None = None
+    center: tuple[float, float] | None = None
+    size: tuple[Length, Length] | None = None
+    thickness: Length | None = None
+    workspace: WorkspaceSection | None = None
+    friction: Annotated[float, Field(gt=0, le=2)] | None = None
+    position: Vector | None = None
+    bodies: list[ObstacleSection] | None = None
+    poses: list[HeldPoseSection] | None = None
+
+    @model_validator(mode="after")
+    def _keys_of_the_kind(self) -> SupportSection:
+        needed = {"board": ("center", "size"), "fixture": ("position", "poses")}
+        board = ("height", "center", "size", "thickness", "workspace", "friction")
+        fixture = ("position", "bodies", "poses")
+        mine, others = (board, fixture) if self.kind == "board" else (fixture, board)
+        for key in others:
+            if getattr(self, key) is not None:
+                raise ValueError(f"a {self.kind} has no key '{key}'; allowed: name, rpy, weight, {', '.join(mine)}")
+        for key in needed[self.kind]:
+            if not getattr(self, key):
+                raise ValueError(f"a {self.kind} needs the key '{key}'")
+        return self
+
+
+class ArmSection(MountingSection):
+    """An arm: the robot, where its base stands in the world and where it rests, and its tool."""
+
+    name: str = "arm"
+    robot: str
+    end_effector: str
+
+
 class WorkcellFile(Section):
-    """The whole file."""
+    """The whole file, with any number of supports."""
+
+    schema_: Literal[2] = Field(alias="schema")
+    name: str | None = None
+    arms: Annotated[list[ArmSection], Field(min_length=1, max_length=1)]
+    supports: Annotated[list[SupportSection], Field(min_length=1)]
+    clearance: ClearanceSection = ClearanceSection()
+    obstacles: list[ObstacleSection] = Field(default_factory=list)
+
+
+class WorkcellFile1(Section):
+    """The whole file, with one arm and one table."""
 
     schema_: Literal[1] = Field(alias="schema")
     name: str | None = None
@@ -96,6 +161,14 @@ class WorkcellFile(Section):
     workspace: WorkspaceSection
     clearance: ClearanceSection = ClearanceSection()
     obstacles: list[ObstacleSection] = Field(default_factory=list)
+
+    def current(self) -> WorkcellFile:
+        """Return the same as a file of the current schema."""
+        robot = self.robot.model_dump()
+        arm = {"robot": robot.pop("model"), "end_effector": self.end_effector.model, **robot}
+        table = {"name": "table", **self.table.model_dump(), "workspace": self.workspace.model_dump()}
+        rest = {key: getattr(self, key) for key in ("name", "clearance", "obstacles")}
+        return WorkcellFile.model_validate({"schema": 2, "arms": [arm], "supports": [table], **rest})
 
 
 class ObstaclesFile(Section):

@@ -9,25 +9,12 @@ import numpy as np
 
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.end_effectors import EndEffector
-from regrasp_opt.errors import WorkcellError
+from regrasp_opt.errors import UnknownNameError, WorkcellError
 from regrasp_opt.files import content_hash
 from regrasp_opt.geometry.shapes import Shape, shape_parts
 from regrasp_opt.robots import Robot
 from regrasp_opt.scene.arm import Arm
-from regrasp_opt.scene.support import Support
-
-
-@dataclass(frozen=True)
-class WorkspaceBounds:
-    """The rectangle of object positions, ``(low, high)`` in x and in y [m]."""
-
-    x: tuple[float, float]
-    y: tuple[float, float]
-
-    @property
-    def array(self) -> FloatArray:
-        """The low and the high corner (2, 2): ``[[x_low, y_low], [x_high, y_high]]`` [m]."""
-        return np.array([self.x, self.y]).T
+from regrasp_opt.scene.support import Fixture, Support, WorkspaceBounds
 
 
 @dataclass(frozen=True)
@@ -59,12 +46,11 @@ class Workcell:
         Short name, for messages.
     arm : Arm
         The robot on its base, with its tool.
-    supports : tuple of Support
-        What objects stand on: one, the table, for now. The base may stand on it as well.
+    supports : tuple of Support or Fixture
+        What objects stand on. The first is a board, where poses are meant that name no support; the base may stand on
+        it as well.
     obstacles : tuple of Shape
         Fixed shapes in the world frame.
-    bounds : WorkspaceBounds
-        Where objects may be put down.
     clearance : Clearance
         Distances to keep.
     source : str
@@ -77,9 +63,8 @@ class Workcell:
 
     name: str
     arm: Arm
-    supports: tuple[Support, ...]
+    supports: tuple[Support | Fixture, ...]
     obstacles: tuple[Shape, ...]
-    bounds: WorkspaceBounds
     clearance: Clearance
     source: str = "built-in"
     end_effector_override: str | None = None
@@ -102,9 +87,37 @@ class Workcell:
 
     @property
     def table(self) -> Support:
-        """The support of a workcell that has one."""
-        (support,) = self.supports
-        return support
+        """The first support."""
+        first = self.supports[0]
+        assert isinstance(first, Support)
+        return first
+
+    @property
+    def boards(self) -> tuple[Support, ...]:
+        """The supports that are boards."""
+        return tuple(support for support in self.supports if isinstance(support, Support))
+
+    @property
+    def bounds(self) -> WorkspaceBounds:
+        """Where objects may be put down on the first support."""
+        return self.table.workspace
+
+    def within(self, bounds: WorkspaceBounds) -> Workcell:
+        """Return this workcell with another workspace on its first support."""
+        return replace(self, supports=(replace(self.table, workspace=bounds), *self.supports[1:]))
+
+    def support(self, name: str | None) -> Support | Fixture:
+        """Return the support of that name, the first one for None.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is none.
+        """
+        found = next((each for each in self.supports if name in (None, each.name)), None)
+        if found is None:
+            raise UnknownNameError("support", str(name), [each.name for each in self.supports])
+        return found
 
     def with_obstacles(self, shapes: Iterable[Shape]) -> Workcell:
         """Return this workcell with the obstacles `shapes` besides its own; plan files keep them.
@@ -141,7 +154,15 @@ class Workcell:
             self.arm.robot.fingerprint(),
             self.arm.T_world_base,
             self.arm.end_effector.fingerprint(),
-            [shape_parts(shape) for shape in (*(s.shape for s in self.supports), *self.obstacles)],
+            [shape_parts(shape) for shape in (*(part for s in self.supports for part in s.shapes), *self.obstacles)],
             np.array([self.bounds.x, self.bounds.y]),
             np.array(distances),
+            *(_parts(support) for support in self.supports[1:]),
         )
+
+
+def _parts(support: Support | Fixture) -> list[FloatArray]:
+    """Return what a hash has to know of a support besides its shapes."""
+    if isinstance(support, Support):
+        return [support.T_world_support, support.workspace.array]
+    return [support.T_world_support, *(pose.T_support_object for pose in support.poses)]

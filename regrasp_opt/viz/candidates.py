@@ -19,7 +19,7 @@ SHOWN = 12
 RANGE = 10.0
 """Costs that are farther than this above the least are drawn alike: there the model expects no shared grasp."""
 LIFT = 0.0016
-"""Height of a trail above the table [m]."""
+"""Height of a trail above its support [m]."""
 TRAIL = 0.005
 """Width of a trail [m]."""
 
@@ -42,6 +42,8 @@ class CandidateTrace:
         `J_seq` (Eq. 5).
     accepted : int or None
         Number of the candidate that became the plan; None if none did.
+    surfaces : (B, N, 4, 4)
+        T_world_support of each pose.
     """
 
     refiner: str
@@ -49,6 +51,7 @@ class CandidateTrace:
     poses: FloatArray
     cost: FloatArray
     accepted: int | None
+    surfaces: FloatArray
 
     def label(self, frame: int) -> str:
         """Return what frame number `frame` shows."""
@@ -103,6 +106,7 @@ def _trace(name: str, batches: list[RecordedBatch], found: RegraspPlan) -> Candi
         np.array([objective.poses(which, each) for each in frames]),
         np.array([objective.cost(which, each) for each in frames]),
         None if same is None else int(np.flatnonzero(kept == same)[0]),
+        objective.placements.surfaces[which],
     )
 
 
@@ -126,8 +130,8 @@ def cost_range(trace: CandidateTrace) -> tuple[float, float]:
     return low, min(float(trace.cost.max()), low + RANGE)
 
 
-def trail(trace: CandidateTrace, table_height: float) -> tuple[Patch, Any]:
-    """Return ribbons on the table along which the candidates moved, and the cost (V,) at each vertex.
+def trail(trace: CandidateTrace) -> tuple[Patch, Any]:
+    """Return ribbons on the supports along which the candidates moved, and the cost (V,) at each vertex.
 
     The 2 B N triangles of the first step come first, then those of the second, and so on.
     """
@@ -137,8 +141,9 @@ def trail(trace: CandidateTrace, table_height: float) -> tuple[Patch, Any]:
     length = np.linalg.norm(along, axis=-1, keepdims=True)
     across = np.stack([-along[..., 1], along[..., 0]], axis=-1) / np.maximum(length, 1e-12) * (TRAIL / 2)
     corners = np.stack([a - across, a + across, b + across, b - across], axis=2)  # (K-1, B N, 4, 2)
-    height = np.full((*corners.shape[:-1], 1), table_height + LIFT)
-    vertices = np.concatenate([corners, height], axis=-1).reshape(-1, 3)
+    T = trace.surfaces.reshape(-1, 4, 4)[:, None]  # (B N, 1, 4, 4)
+    local = np.concatenate([corners, np.full((*corners.shape[:-1], 1), LIFT)], axis=-1)
+    vertices = ((T[..., :3, :3] @ local[..., None])[..., 0] + T[..., :3, 3]).reshape(-1, 3)
     first = 4 * np.arange(len(vertices) // 4)[:, None, None]
     faces = (first + np.array([[0, 2, 1], [0, 3, 2]])).reshape(-1, 3)
     cost = np.repeat(trace.cost, trace.xi.shape[2], axis=1)

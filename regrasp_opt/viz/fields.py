@@ -25,6 +25,8 @@ class CostField(NamedTuple):
     cost : (Y, X)
     here : (2,)
         Where the plan has the pose [m].
+    T_world_support : (4, 4)
+        The plane of x and y.
     """
 
     number: int
@@ -32,6 +34,7 @@ class CostField(NamedTuple):
     y: FloatArray
     cost: FloatArray
     here: FloatArray
+    T_world_support: FloatArray
 
 
 def has_energy(plan: RegraspPlan) -> bool:
@@ -50,8 +53,8 @@ def cost_field(plan: RegraspPlan, number: int, turn: float = 0.0) -> CostField:
 
     The workspace is covered at steps of `STEP`; the pose keeps its angle, or is turned by `turn` [rad].
     """
-    problem = plan.problem
-    low, high = problem.workcell.bounds.array
+    problem, planar = plan.problem, plan.problem.rests.planar[plan.placements[number - 1]]
+    low, high = planar.low[:2], planar.high[:2]
     x, y = (np.linspace(a, b, round((b - a) / STEP) + 1) for a, b in zip(low, high, strict=True))
     xi = np.tile(plan.xi, (len(y), len(x), 1, 1))
     xi[..., number - 1, :2] = np.stack(np.meshgrid(x, y), axis=-1)
@@ -59,4 +62,5 @@ def cost_field(plan: RegraspPlan, number: int, turn: float = 0.0) -> CostField:
     start, goal = (exact_energy(problem.feasible_grasps(plan.poses[i])) for i in (0, -1))
     placements = np.tile(plan.placements, (x.size * y.size, 1))
     cost = problem.objective(start, goal).cost(placements, xi.reshape(-1, *plan.xi.shape), np.float32)
-    return CostField(number, x, y, np.minimum(cost.reshape(len(y), len(x)), BLOCKED), plan.xi[number - 1, :2])
+    cost = np.minimum(cost.reshape(len(y), len(x)), BLOCKED)
+    return CostField(number, x, y, cost, plan.xi[number - 1, :2], planar.surfaces)

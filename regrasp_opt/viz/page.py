@@ -90,8 +90,8 @@ def _content(scene: PlanScene) -> dict[str, Any]:
         "seconds": scene.seconds,
         "grasps": [_grasps(shared) for shared in scene.grasps],
         "marks": _rounded(scene.marks),
-        "fields": [_field(field, scene.table_height) for field in scene.fields],
-        "candidates": _candidates(scene.candidates, scene.table_height),
+        "fields": [_field(field) for field in scene.fields],
+        "candidates": _candidates(scene.candidates),
         "scale": SCALE,
         "table_height": scene.table_height,
         "eye": _rounded(scene.eye),
@@ -116,20 +116,20 @@ def _grasps(shared: SharedGrasps) -> dict[str, Any]:
     }
 
 
-def _field(field: CostField, table_height: float) -> dict[str, Any]:
-    surface, colours = field_surface(field, table_height)
+def _field(field: CostField) -> dict[str, Any]:
+    surface, colours = field_surface(field)
     mesh = _mesh(surface)
     mesh["colours"] = _packed(colours, np.uint8)
     low, high = float(field.cost.min()), float(np.percentile(field.cost, 90))
     return {"number": field.number, "mesh": mesh, "low": low, "high": high}
 
 
-def _candidates(trace: CandidateTrace | None, table_height: float) -> dict[str, Any] | None:
+def _candidates(trace: CandidateTrace | None) -> dict[str, Any] | None:
     if trace is None:
         return None
     frames, count, length = trace.xi.shape[:3]
     ends = cost_range(trace)
-    surface, cost = trail(trace, table_height)
+    surface, cost = trail(trace)
     mesh = _mesh(surface)
     mesh["colours"] = _packed(scaled_colours(cost, ends), np.uint8)
     return {
@@ -144,10 +144,11 @@ def _candidates(trace: CandidateTrace | None, table_height: float) -> dict[str, 
     }
 
 
-def field_surface(field: CostField, table_height: float) -> tuple[Patch, NDArray[Any]]:
-    """Return a field as a surface just above the table with the colours (V, 3) uint8 of its vertices."""
+def field_surface(field: CostField) -> tuple[Patch, NDArray[Any]]:
+    """Return a field as a surface just above its support with the colours (V, 3) uint8 of its vertices."""
     x, y = np.meshgrid(field.x, field.y)
-    vertices = np.stack([x, y, np.full_like(x, table_height + 0.0008)], axis=-1).reshape(-1, 3)
+    T = field.T_world_support
+    vertices = np.stack([x, y, np.full_like(x, 0.0008)], axis=-1).reshape(-1, 3) @ T[:3, :3].T + T[:3, 3]
     number = np.arange(x.size).reshape(x.shape)
     a, b, c, d = (n.ravel() for n in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]))
     faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])

@@ -98,7 +98,7 @@ def plot_cost_landscape(plan: RegraspPlan, number: int = 1, turns: int = 4) -> A
             ax.plot(*panel.here, "*", color=HERE, markeredgecolor="white", markersize=15, label="plan")
         ax.set_title(f"turned by {np.degrees(angle):.0f}°")
     _label(figure, axes, image)
-    where = f"placement {plan.placements[number - 1]}"
+    where = f"placement {plan.problem.rests[plan.placements[number - 1]].label}"
     figure.suptitle(f"{plan.problem.object.name}: cost of intermediate pose {number} on {where}")
     return figure
 
@@ -122,13 +122,16 @@ def plot_pose_distribution(plan: RegraspPlan) -> Any:
     problem, lattice = plan.problem, plan.problem.lattice
     start, goal = (exact_energy(problem.feasible_grasps(plan.poses[i])) for i in (0, -1))
     objective = problem.objective(start, goal)
-    cost = objective.cost(lattice.placements[:, None], lattice.xi[:, None], np.float32).reshape(-1, YAWS)
-    best = np.arange(len(cost)) * YAWS + cost.argmin(axis=1)
+    movable = ~np.isfinite(problem.rests.planar.high[lattice.placements, 2])  # not in a fixture
+    numbers, at = lattice.placements[movable, None], lattice.xi[movable, None]
+    cost = objective.cost(numbers, at, np.float32).reshape(-1, YAWS)
+    best = np.flatnonzero(movable)[np.arange(len(cost)) * YAWS + cost.argmin(axis=1)]
     placements, xi, cost = lattice.placements[best], lattice.xi[best], cost.min(axis=1)
     low = float(cost.min())
-    count = len(problem.placements)
+    shown = np.unique(placements)
+    count = len(shown)
     figure, axes = plt.subplots(1, count, figsize=(3.0 * count, 2.5), layout="constrained", sharey=True, squeeze=False)
-    for number, ax in enumerate(axes[0]):
+    for number, ax in zip(shown, axes[0], strict=True):
         here = placements == number
         x, y, yaw = xi[here].T
         arrows = ax.quiver(
@@ -136,7 +139,7 @@ def plot_pose_distribution(plan: RegraspPlan) -> Any:
             cmap=COLOURS, clim=(low, low + RANGE), angles="xy", scale=17, width=0.009,
         )  # fmt: skip
         _mark_ends(ax, plan)
-        ax.set_title(f"placement {number}: best {cost[here].min():.1f}")
+        ax.set_title(f"placement {problem.rests[number].label}: best {cost[here].min():.1f}")
     _label(figure, axes, arrows)
     figure.suptitle(f"{problem.object.name}: cost of one intermediate pose, by stable placement")
     return figure

@@ -175,7 +175,7 @@ def problem_scene(model: ObjectModel, cell: Workcell) -> PlanScene:
 def _parts(model: ObjectModel, cell: Workcell) -> list[Part]:
     dof = cell.arm.robot.dof
     parts = [
-        Part("table", shape_surface(cell.table.shape), COLOURS["table"], BASE),
+        *(Part(s.name, shape_surface(s), COLOURS["table"], BASE) for each in cell.supports for s in each.shapes),
         *(Part(s.name, shape_surface(s), COLOURS["obstacle"], BASE) for s in cell.obstacles),
         *robot_parts(cell.arm.robot, cell.arm.T_world_base),
         *gripper_parts(cell.arm.end_effector, dof),

@@ -15,9 +15,15 @@ from regrasp_opt.connectivity import BLOCKED, CostOptions, sequence_cost
 from regrasp_opt.connectivity.casadi_chain import cost_of_scores, pair_score
 from regrasp_opt.connectivity.casadi_costs import layers_parameter, parametric_functions, plain_sequence_cost
 from regrasp_opt.connectivity.embedding import ProblemEnergy
-from regrasp_opt.conventions import planar_transform
 from regrasp_opt.energy.casadi_energy import CasadiEnergy
 from regrasp_opt.errors import OptionError, PoseError
+from regrasp_opt.geometry.planar_poses import PlanarPoses
+
+
+def anywhere(placements):
+    """Return `placements` (S, 4, 4) on a level surface without edges."""
+    return PlanarPoses.level(placements, [[-np.inf] * 2, [np.inf] * 2])
+
 
 PLACEMENTS = [0, 3]
 OPTIONS = [CostOptions(), CostOptions(alpha=0.4, lambda_reg=2.0), CostOptions(variant="J+")]
@@ -29,14 +35,14 @@ def make_problem_energy(make_energy):
 
     def make(**keywords):
         energy, rng = make_energy(**keywords), np.random.default_rng(5)
-        bound = ProblemEnergy(energy.model, energy.grasps, random_transforms(rng, 4))
+        bound = ProblemEnergy(energy.model, energy.grasps, anywhere(random_transforms(rng, 4)))
         return bound, rng.uniform(0, 4, (len(energy), 2)), rng.normal(size=(2, 3))
 
     return make
 
 
 def numpy_cost(energy, options, xi, ends):
-    middle = energy(planar_transform(xi) @ energy.placements[PLACEMENTS])
+    middle = energy(energy.placements.at(PLACEMENTS, xi))
     return float(sequence_cost(np.concatenate([ends[None, :, 0], middle, ends[None, :, 1]]), options))
 
 
@@ -44,7 +50,7 @@ def plain(energy, variable, ends, options):
     """Return E, Q and J as plainly built expressions of planar parameters (2, 3) or of two poses (8, 4)."""
     expressions = CasadiEnergy(energy.model, len(energy))
     if variable.shape[1] == 3:
-        layers = [expressions.layer(energy.planar_layer(T)) for T in energy.placements[PLACEMENTS]]
+        layers = [expressions.layer(layer) for layer in energy.planar_layers(energy.placements[PLACEMENTS])]
         energies = [expressions.planar_expression(layer, variable[i, :].T) for i, layer in enumerate(layers)]
     else:
         energies = [expressions.pose_expression(energy, T) for T in ca.vertsplit(variable, 4)]
@@ -99,7 +105,7 @@ def test_derivatives_in_a_larger_graph_are_those_of_plain_expressions(make_probl
 def test_the_planners_functions_have_the_derivatives_of_the_plain_cost(make_energy, num_regrasps, options):
     energy, rng = make_energy(), np.random.default_rng(3)
     expressions = CasadiEnergy(energy.model, len(energy))
-    layers = layers_parameter(energy, random_transforms(rng, num_regrasps))
+    layers = layers_parameter(energy, anywhere(random_transforms(rng, num_regrasps)))
     rest = [layers, *rng.uniform(0, 4, (2, len(energy)))]
     x = ca.MX.sym("xi", num_regrasps, 3)
     ours = parametric_functions(expressions, options, num_regrasps).J_seq
@@ -127,7 +133,7 @@ def test_the_planners_functions_take_blocked_grasps_as_an_input(make_problem_ene
 
 def test_blocks_of_grasps_give_the_same_derivatives(make_energy, monkeypatch):
     energy, rng = make_energy(grasps=23), np.random.default_rng(3)
-    rest = [layers_parameter(energy, random_transforms(rng, 2)), *rng.uniform(0, 4, (2, 23))]
+    rest = [layers_parameter(energy, anywhere(random_transforms(rng, 2))), *rng.uniform(0, 4, (2, 23))]
     x, xi = ca.MX.sym("xi", 2, 3), rng.normal(size=(2, 3))
     found = []
     for block in (256, 5):
@@ -163,7 +169,7 @@ def test_poses_from_kinematics_give_the_planar_values(make_problem_energy):
     arguments = {"start": ends[:, 0], "goal": ends[:, 1]}
     planar = energy.casadi_functions(placements=PLACEMENTS, **arguments)
     full = energy.casadi_pose_functions(num_poses=2, **arguments)
-    T = np.vstack(planar_transform(xi) @ energy.placements[PLACEMENTS])
+    T = np.vstack(energy.placements.at(PLACEMENTS, xi))
     for a, b in zip(planar, full, strict=True):
         np.testing.assert_allclose(np.array(a(xi)), np.array(b(T)), atol=1e-12)
     np.testing.assert_allclose(np.array(full.E(T)), energy(T.reshape(2, 4, 4)), atol=1e-12)
@@ -216,7 +222,7 @@ def test_a_mask_leaves_grasps_out(make_problem_energy, over):
             return of.casadi_functions(placements=PLACEMENTS, start=ends[:, 0], goal=ends[:, 1], mask=mask)
         return of.casadi_pose_functions(num_poses=2, start=ends[:, 0], goal=ends[:, 1], mask=mask)
 
-    x = xi if over == "planar" else np.vstack(planar_transform(xi) @ energy.placements[PLACEMENTS])
+    x = xi if over == "planar" else np.vstack(energy.placements.at(PLACEMENTS, xi))
     expected = np.array(functions(few, ends[mask], None).Q_pair(x))
     constant, given = functions(energy, ends, mask), functions(energy, ends, "input")
     np.testing.assert_allclose(np.array(constant.Q_pair(x)), expected, atol=1e-12)
@@ -230,7 +236,7 @@ def test_blocked_grasps_have_a_fixed_energy(make_problem_energy, over):
     energy, ends, xi = make_problem_energy()
     blocked = np.random.default_rng(7).random((2, 12)) < 0.4
     arguments = {"start": ends[:, 0], "goal": ends[:, 1], "blocked": blocked}
-    T = np.vstack(planar_transform(xi) @ energy.placements[PLACEMENTS])
+    T = np.vstack(energy.placements.at(PLACEMENTS, xi))
     if over == "planar":
         functions, x, numbers = energy.casadi_functions(placements=PLACEMENTS, **arguments), ca.MX.sym("xi", 2, 3), xi
     else:
@@ -249,7 +255,7 @@ def test_a_mask_and_blocked_grasps_leave_out_what_either_does(make_problem_energ
     energy, ends, xi = make_problem_energy()
     rng = np.random.default_rng(8)
     mask, blocked = rng.random(12) < 0.6, rng.random((2, 12)) < 0.4
-    middle = np.where(blocked, BLOCKED, energy(planar_transform(xi) @ energy.placements[PLACEMENTS]))
+    middle = np.where(blocked, BLOCKED, energy(energy.placements.at(PLACEMENTS, xi)))
     chain = np.concatenate([ends[None, :, 0], middle, ends[None, :, 1]])
     arguments = {"placements": PLACEMENTS, "start": ends[:, 0], "goal": ends[:, 1], "blocked": blocked}
     functions = energy.casadi_functions(**arguments, mask=mask)
@@ -288,7 +294,7 @@ def test_generated_c_of_values_and_derivatives_needs_no_library(make_problem_ene
     if over == "planar":
         x, numbers, functions = ca.MX.sym("xi", 2, 3), xi, energy.casadi_functions(placements=PLACEMENTS, **arguments)
     else:
-        x, numbers = ca.MX.sym("T", 8, 4), np.vstack(planar_transform(xi) @ energy.placements[PLACEMENTS])
+        x, numbers = ca.MX.sym("T", 8, 4), np.vstack(energy.placements.at(PLACEMENTS, xi))
         functions = energy.casadi_pose_functions(num_poses=2, **arguments)
     function = with_derivatives(functions.J_seq(x), [x])
     monkeypatch.chdir(tmp_path)
@@ -359,7 +365,7 @@ def test_a_single_pose_may_move(make_problem_energy):
     energy, ends, xi = make_problem_energy()
     options = CostOptions(alpha=0.6)
     full = energy.casadi_pose_functions(num_poses=np.int64(1), start=ends[:, 0], goal=ends[:, 1], options=options)
-    T = planar_transform(xi[0]) @ energy.placements[PLACEMENTS[0]]
+    T = energy.placements.at(PLACEMENTS[0], xi[0])
     chain = np.vstack([ends[:, 0], energy(T), ends[:, 1]])
     assert full.J_seq.size_in(0) == (4, 4)
     assert float(full.J_seq(T)) == pytest.approx(float(sequence_cost(chain, options)), abs=1e-12)

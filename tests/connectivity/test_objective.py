@@ -6,6 +6,7 @@ import pytest
 from regrasp_opt.connectivity import BLOCKED, CostOptions, SequenceObjective, TableRule, block, exact_energy
 from regrasp_opt.connectivity.costs import pair_score, sequence_cost
 from regrasp_opt.conventions import planar_transform, translation
+from regrasp_opt.geometry.planar_poses import PlanarPoses
 
 GRASPS = 12
 BOUNDS = np.array([[-0.4, 0.1], [0.4, 0.6]])
@@ -26,7 +27,7 @@ def parts(make_energy):
 
 def objective(parts, rule=None, **options):
     energy, placements, start, goal, *_ = parts
-    return SequenceObjective(energy, placements, start, goal, BOUNDS, CostOptions(**options), rule)
+    return SequenceObjective(energy, PlanarPoses.level(placements, BOUNDS), start, goal, CostOptions(**options), rule)
 
 
 def test_poses_are_planar_motions_of_placements(parts):
@@ -101,7 +102,7 @@ def test_with_one_regrasp_grasps_that_both_ends_block_do_not_matter(parts):
     energy, placements, _, _, numbers, xi = parts
     start = exact_energy([True, True, False, False] * 3)
     goal = exact_energy([True, False, True, False] * 3)
-    whole = SequenceObjective(energy, placements, start, goal, BOUNDS, CostOptions())
+    whole = SequenceObjective(energy, PlanarPoses.level(placements, BOUNDS), start, goal, CostOptions())
     np.testing.assert_array_equal(whole.useful_grasps(1), [0, 1, 2, 4, 5, 6, 8, 9, 10])
     np.testing.assert_array_equal(whole.useful_grasps(2), np.arange(GRASPS))
     useful = whole.useful_grasps(1)

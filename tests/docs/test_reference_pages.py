@@ -44,6 +44,10 @@ def keys(section) -> set[str]:
     "section",
     [
         schema.WorkcellFile,
+        schema.WorkcellFile1,
+        schema.ArmSection,
+        schema.SupportSection,
+        schema.HeldPoseSection,
         schema.RobotSection,
         schema.EndEffectorSection,
         schema.TableSection,

@@ -12,6 +12,7 @@ from regrasp_opt.energy.casadi_energy import CasadiEnergy
 from regrasp_opt.energy.export import grasp_function
 from regrasp_opt.energy.features import pair_features
 from regrasp_opt.energy.model import GraspEnergy
+from regrasp_opt.geometry.planar_poses import PlanarPoses
 
 
 @pytest.mark.parametrize("activation", ACTIVATIONS)
@@ -53,7 +54,7 @@ def test_casadi_energy_equals_numpy_for_planar_and_full_poses(make_energy, featu
     T_p, xi = random_transforms(rng, 1)[0], np.array([0.3, -0.2, 2.0])
     expressions = CasadiEnergy(energy.model, len(energy))
     x, T = ca.MX.sym("xi", 3), ca.MX.sym("T", 4, 4)
-    layer = expressions.layer(energy.planar_layer(T_p))
+    layer = expressions.layer(energy.planar_layers(PlanarPoses.level(T_p[None], np.zeros((2, 2))))[0])
     planar = ca.Function("planar", [x], [expressions.planar_expression(layer, x)])
     full = ca.Function("full", [T], [expressions.pose_expression(energy, T)])
     pose = planar_transform(xi) @ T_p

@@ -13,8 +13,7 @@ from regrasp_opt.feasibility import FeasibilityChecker
 from regrasp_opt.feasibility.diagnosis import Cause, Reason, diagnose, summary, tally
 from regrasp_opt.geometry.shapes import Box
 from regrasp_opt.planning.tasks import random_graspable_pose
-from regrasp_opt.scene import load_workcell
-from regrasp_opt.scene.workcell import WorkspaceBounds
+from regrasp_opt.scene import WorkspaceBounds, load_workcell
 
 
 def checker_of(problem, **changes):
@@ -127,8 +126,7 @@ def test_a_workspace_without_graspable_poses_says_why(tmp_path, monkeypatch):
     cell = load_workcell(tmp_path / "far.toml")
     far = replace(
         cell,
-        bounds=WorkspaceBounds((0.0, 0.1), (0.9, 0.92)),
-        supports=(replace(cell.table, size=np.array([3.0, 3.0])),),
+        supports=(replace(cell.table, size=np.array([3.0, 3.0]), workspace=WorkspaceBounds((0.0, 0.1), (0.9, 0.92))),),
     )
     problem = RegraspProblem.load("bottle", far)
     with pytest.raises(GraspError, match=r"in 30 tries: \d+ (out of reach|gripper in table|no inverse)"):

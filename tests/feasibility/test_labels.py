@@ -12,8 +12,7 @@ from regrasp_opt.feasibility.dataset import LabellingTask, label_pairs, label_po
 from regrasp_opt.files import machine_memory
 from regrasp_opt.grasps import sample_grasps
 from regrasp_opt.objects import load_object
-from regrasp_opt.scene import load_workcell
-from regrasp_opt.scene.workcell import WorkspaceBounds
+from regrasp_opt.scene import WorkspaceBounds, load_workcell
 
 WANTED = 800
 
@@ -133,7 +132,7 @@ def test_progress_ends_at_what_was_wanted(task, tmp_path):
 
 def test_a_workspace_out_of_reach_ends_in_an_error(task, tmp_path):
     table = replace(task.workcell.table, size=np.array([20.0, 20.0]))
-    cell = replace(task.workcell, supports=(table,), bounds=WorkspaceBounds((5.0, 6.0), (5.0, 6.0)))
+    cell = replace(task.workcell, supports=(replace(table, workspace=WorkspaceBounds((5.0, 6.0), (5.0, 6.0))),))
     with pytest.raises(GraspError, match=r"anywhere in the workspace; of \d+ tried \d+ out of reach; move") as info:
         label_pairs(replace(task, workcell=cell), 50, folder=tmp_path, jobs=1)
     assert "\n" not in str(info.value)
@@ -167,7 +166,7 @@ def test_the_fingerprint_follows_everything_that_labels_depend_on(task):
         replace(task, grasps=task.grasps.subset(np.arange(29))),
         replace(task, placements=task.placements[:-1]),
         replace(task, workcell=load_workcell("nova2-r85")),
-        replace(task, workcell=replace(task.workcell, bounds=WorkspaceBounds((-0.4, 0.4), (0.1, 0.6)))),
+        replace(task, workcell=task.workcell.within(WorkspaceBounds((-0.4, 0.4), (0.1, 0.6)))),
     ]
     prints = {task.fingerprint(), *(other.fingerprint() for other in others)}
     assert len(prints) == len(others) + 1

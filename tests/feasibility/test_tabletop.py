@@ -9,9 +9,9 @@ import trimesh
 from transforms import random_transforms
 
 from regrasp_opt.connectivity import TableRule
-from regrasp_opt.conventions import planar_transform, translation
+from regrasp_opt.conventions import invert, planar_transform, translation
 from regrasp_opt.feasibility import FeasibilityChecker
-from regrasp_opt.feasibility.tabletop import _extreme, points_in_table, wrist_bodies
+from regrasp_opt.feasibility.tabletop import _extreme, points_in_support, wrist_bodies
 from regrasp_opt.geometry.shapes import Mesh, mesh_geometry, shape_geometry, surface_points
 from regrasp_opt.grasps import sample_grasps
 from regrasp_opt.objects import load_object
@@ -19,9 +19,14 @@ from regrasp_opt.robots import load_robot
 from regrasp_opt.scene import Support, load_workcell
 
 
+def points_in_table(cell, grasps, placements):
+    """Return the points at `placements` (S, 4, 4) T_world_object on the table of `cell`."""
+    seen = invert(cell.table.T_world_support) @ placements
+    return points_in_support(cell, grasps, seen, [cell.table] * len(placements))
+
+
 def rule(cell, grasps, placements):
-    corners = cell.table.center + np.array([[-0.5], [0.5]]) * cell.table.size
-    return TableRule(points_in_table(cell, grasps, placements), corners)
+    return TableRule(points_in_table(cell, grasps, placements), cell.table.edges)
 
 
 @pytest.mark.parametrize(

@@ -177,10 +177,15 @@ def _poses(folder: Path) -> list[tuple[str, bytes]]:
     return [(".txt", b"2:0.30,0.25,45"), (".txt", b"0:-0.1,4e-1,-720"), (".json", matrix)]
 
 
+@cache
+def _problem() -> RegraspProblem:
+    return RegraspProblem.load("bottle", "nova2-w")
+
+
 def _read_pose(path: Path) -> None:
     """Read a pose file, or take the content of any other file for what is typed on the command line."""
     text = str(path) if path.suffix == ".json" else path.read_bytes().decode("utf-8", "surrogateescape")
-    parse_pose(text, "start", _PLACEMENTS)
+    parse_pose(text, "start", _problem())
 
 
 _TEXT = (damage.damage_text, damage.damage_text, damage.damage_text, damage.damage_bytes)

@@ -66,7 +66,7 @@ def problem_of(cell, thing, folder):
     zeros = [np.zeros(shape, np.float32) for shape in ((1, feature_count("tcp", False)), (1, 1), (1, 1))]
     biases = tuple(np.zeros(1, np.float32) for _ in zeros)
     nothing = EnergyModel(tuple(zeros), biases, "silu", "tcp", use_width=False, bounded=True, threshold=1.0)
-    problem.__dict__["energy"] = ProblemEnergy(nothing, problem.grasps, problem.placement_poses)
+    problem.__dict__["energy"] = ProblemEnergy(nothing, problem.grasps, problem.rests.planar)
     return problem, "lattice"
 
 

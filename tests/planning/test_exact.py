@@ -12,6 +12,7 @@ from verifying import motion_findings, plan_problems
 from regrasp_opt import RegraspPlan, RegraspProblem, Status, solve_sequence
 from regrasp_opt.connectivity import exact_energy, sequence_cost
 from regrasp_opt.errors import OptionError
+from regrasp_opt.geometry.planar_poses import PlanarPoses
 from regrasp_opt.motion import MotionStatus, plan_motion
 from regrasp_opt.planning import search
 from regrasp_opt.planning.exact import RestingPoses
@@ -144,7 +145,7 @@ def test_paths_are_the_shortest_and_the_widest_first(seed):
 
 def test_poses_without_a_feasible_grasp_are_not_kept(brick):
     bounds = np.array([[-0.6, 0.1], [0.6, 0.9]])  # beyond reach, and beyond the table
-    poses = RestingPoses(brick.checker, brick.placement_poses, bounds, np.random.default_rng(0))
+    poses = RestingPoses(brick.checker, PlanarPoses.level(brick.placement_poses, bounds), np.random.default_rng(0))
     poses.grow(40)
     first = poses.xi.copy()
     poses.grow(60)

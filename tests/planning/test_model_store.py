@@ -196,7 +196,7 @@ def test_a_key_tells_the_arm_from_its_scene():
     box = Box("box", np.full(3, 0.1), translation(0.4, 0.6, 0.05))
     others = {
         "surroundings": replace(cell, obstacles=(box,)),
-        "workspace": replace(cell, bounds=WorkspaceBounds((-0.3, 0.3), (0.2, 0.5))),
+        "workspace": cell.within(WorkspaceBounds((-0.3, 0.3), (0.2, 0.5))),
         "clearance": replace(cell, clearance=Clearance(arm=0.01)),
         "mounting": replace(cell, arm=replace(cell.arm, T_world_base=translation(0.0, 0.0, 0.01))),
         "end-effector": load_workcell("nova2-w", end_effector="r85"),

@@ -59,7 +59,7 @@ def test_the_file_has_the_keys_of_the_contract(plan, plan_content):
     keys = ["status", "num_regrasps", "cost", "poses", "transitions", "timings"]
     assert list(plan_summary(plan)) == keys
     assert set(keys) < set(plan_content)
-    assert plan_content["schema"] == 2 and plan_content["status"] == "solved"
+    assert plan_content["schema"] == 3 and plan_content["status"] == "solved"
     assert set(plan_content["transitions"][0]) == {"grasp_ids", "q_pick", "q_place", "clearance"}
 
 
@@ -101,7 +101,7 @@ def test_files_that_are_no_plan(tmp_path, plan_content):
         assert "not valid JSON" in refusal(path)
     path.write_bytes(b"\xff\xfe\x00" * 20)
     assert "not valid JSON" in refusal(path)
-    for other in ("null", "3", "[]", "{}", '"plan"', '{"schema": 3}', '{"schema": "1"}', '{"schema": true}'):
+    for other in ("null", "3", "[]", "{}", '"plan"', '{"schema": 4}', '{"schema": "1"}', '{"schema": true}'):
         path.write_text(other, encoding="utf-8")
         assert "schema" in refusal(path)
 

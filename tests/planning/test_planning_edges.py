@@ -101,9 +101,7 @@ def test_a_chain_of_eight_regrasps_can_be_refined(bottle_problem, task):
 
     problem = bottle_problem
     ends = [exact_energy(problem.feasible_grasps(T)) for T in (task.start, task.goal)]
-    objective = SequenceObjective(
-        problem.energy, problem.placement_poses, *ends, problem.workcell.bounds.array, CostOptions()
-    )
+    objective = SequenceObjective(problem.energy, problem.rests.planar, *ends, CostOptions())
     rng = np.random.default_rng(0)
     starts = lattice_starts(problem.lattice, objective, 8, 1, rng)
     refined = NlpRefiner().refine(objective, starts, rng).candidates

@@ -7,18 +7,20 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from regrasp_opt.conventions import planar_transform, pose_distance, translation
+from regrasp_opt.conventions import planar_transform, pose_distance
 from regrasp_opt.errors import PoseError
+from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.planning.pose_text import describe_pose, parse_pose
 
-PLACEMENTS = np.array([np.eye(4), translation(0.0, 0.01, 0.1), np.diag([1.0, -1.0, -1.0, 1.0])])
+PROBLEM = RegraspProblem.load("bottle", "nova2-w")
+PLACEMENTS = PROBLEM.placement_poses
 STEADY = settings(deadline=None, derandomize=True, max_examples=100)
 numbers = st.floats(-10, 10)
 
 
 def assert_pose_or_refusal(text):
     try:
-        T = parse_pose(text, "goal", PLACEMENTS)
+        T = parse_pose(text, "goal", PROBLEM)
     except PoseError as error:
         assert "goal" in str(error)
         return
@@ -31,14 +33,14 @@ def assert_pose_or_refusal(text):
 def test_the_short_form_is_a_moved_placement(number, x, y, degrees):
     for text in (f"{number}:{x!r},{y!r},{degrees!r}", f" {number}: {x!r} , {y!r} ,{degrees!r} "):
         expected = planar_transform([x, y, np.deg2rad(degrees)]) @ PLACEMENTS[number]
-        np.testing.assert_allclose(parse_pose(text, "start", PLACEMENTS), expected, atol=1e-12)
+        np.testing.assert_allclose(parse_pose(text, "start", PROBLEM), expected, atol=1e-12)
 
 
 @STEADY
 @given(st.integers(0, 2), numbers, numbers, st.floats(-180, 180))
 def test_what_is_printed_of_a_pose_can_be_given_again(number, x, y, degrees):
     T = planar_transform([x, y, np.deg2rad(degrees)]) @ PLACEMENTS[number]
-    again = parse_pose(describe_pose(T, PLACEMENTS), "start", PLACEMENTS)
+    again = parse_pose(describe_pose(T, PROBLEM), "start", PROBLEM)
     distance, angle = pose_distance(T, again)
     assert distance < 1e-3 and angle < np.deg2rad(0.1)
 
@@ -46,17 +48,18 @@ def test_what_is_printed_of_a_pose_can_be_given_again(number, x, y, degrees):
 def test_a_pose_off_the_table_is_printed_as_where_it_is():
     T = planar_transform([0.1, 0.2, 0.3]) @ PLACEMENTS[0]
     T[2, 3] += 0.01
-    assert describe_pose(T, PLACEMENTS) == f"({T[0, 3]:+.3f}, {T[1, 3]:+.3f}, {T[2, 3]:+.3f})"
+    assert describe_pose(T, PROBLEM) == f"({T[0, 3]:+.3f}, {T[1, 3]:+.3f}, {T[2, 3]:+.3f})"
 
 
 def test_the_example_of_the_documentation():
-    T = parse_pose("2:0.30,0.25,90", "start", PLACEMENTS)
-    np.testing.assert_allclose(T[:3, 3], [0.3, 0.25, 0.0])
-    np.testing.assert_allclose(T[:3, :3] @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-12)
+    T = parse_pose("2:0.30,0.25,90", "start", PROBLEM)
+    (x, y, z), (px, py, pz) = T[:3, 3], PLACEMENTS[2][:3, 3]
+    np.testing.assert_allclose([x, y, z], [0.3 - py, 0.25 + px, pz])
+    np.testing.assert_allclose(T[:3, :3].T @ [0.0, 1.0, 0.0], PLACEMENTS[2][:3, :3].T @ [1.0, 0.0, 0.0], atol=1e-12)
 
 
 NO_POSES = [
-    "3:0,0,0", "-1:0,0,0", "0:0,0", "0:0,0,0,0", "0:,,", "0:x,0,0", ":0,0,0", "", "0:1e999,0,0", "0:0,0,nan",
+    "5:0,0,0", "-1:0,0,0", "0:0,0", "0:0,0,0,0", "0:,,", "0:x,0,0", ":0,0,0", "", "0:1e999,0,0", "0:0,0,nan",
     "1.5:0,0,0", "0;0,0,0", "9" * 5000 + ":0,0,0", "a" * 5000, "a\0b", "\0.json",
 ]  # fmt: skip
 
@@ -64,21 +67,21 @@ NO_POSES = [
 @pytest.mark.parametrize("text", NO_POSES, ids=lambda text: ascii(text[:20]))
 def test_what_is_no_pose_is_refused(text):
     with pytest.raises(PoseError) as info:
-        parse_pose(text, "start", PLACEMENTS)
+        parse_pose(text, "start", PROBLEM)
     assert "start" in str(info.value)
 
 
 def test_text_that_is_no_pose_is_told_from_a_file_that_is_not_there(tmp_path):
     with pytest.raises(PoseError, match=r"'upright' is not a pose; write it like 2:0\.30,0\.25,45 or name a JSON file"):
-        parse_pose("upright", "start", PLACEMENTS)
+        parse_pose("upright", "start", PROBLEM)
     with pytest.raises(PoseError, match=r"cannot read the goal from '.*start\.json': No such file"):
-        parse_pose(str(tmp_path / "start.json"), "goal", PLACEMENTS)
+        parse_pose(str(tmp_path / "start.json"), "goal", PROBLEM)
 
 
 def test_a_file_of_any_name_may_hold_a_pose(tmp_path):
     for name in ("pose.txt", "pose"):
         (tmp_path / name).write_text(json.dumps(PLACEMENTS[1].tolist()), encoding="utf-8")
-        np.testing.assert_array_equal(parse_pose(str(tmp_path / name), "start", PLACEMENTS), PLACEMENTS[1])
+        np.testing.assert_array_equal(parse_pose(str(tmp_path / name), "start", PROBLEM), PLACEMENTS[1])
 
 
 @STEADY
@@ -119,4 +122,4 @@ def test_any_json_is_a_pose_or_is_refused(pose_file, value):
 def test_a_file_gives_back_the_pose_that_was_written(pose_file, number, x, y, yaw):
     T = planar_transform([x, y, yaw]) @ PLACEMENTS[number]
     pose_file.write_text(json.dumps(T.tolist()), encoding="utf-8")
-    np.testing.assert_allclose(parse_pose(str(pose_file), "start", PLACEMENTS), T, atol=1e-12)
+    np.testing.assert_allclose(parse_pose(str(pose_file), "start", PROBLEM), T, atol=1e-12)

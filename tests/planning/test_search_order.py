@@ -9,6 +9,7 @@ import pytest
 from regrasp_opt import CostOptions, Recipe, Status, solve_sequence
 from regrasp_opt.connectivity import SequenceObjective
 from regrasp_opt.errors import GraspError, OptionError
+from regrasp_opt.geometry.planar_poses import PlanarPoses
 from regrasp_opt.planning import recipes, search, tasks
 from regrasp_opt.planning.recipes import RECIPES, as_recipe, paper_recipe
 from regrasp_opt.planning.tasks import random_graspable_pose, random_task
@@ -107,7 +108,7 @@ def test_the_papers_recipe_accepts_the_cheapest_below_the_threshold_and_verifies
     assert never.status is Status.NOT_FOUND and len(never.refiner_stats) == len(plan.refiner_stats)
     strict = replace(bottle_problem)
     model = replace(bottle_problem.energy.model, threshold=-1.0)
-    vars(strict).update(energy=type(bottle_problem.energy)(model, strict.grasps, strict.placement_poses))
+    vars(strict).update(energy=type(bottle_problem.energy)(model, strict.grasps, strict.rests.planar))
     vars(strict).update(lattice=bottle_problem.lattice)
     none = solve_sequence(strict, task.start, task.goal, recipe, max_regrasps=2)
     assert none.status is Status.NOT_FOUND
@@ -141,8 +142,9 @@ def small(make_energy):
     rng = np.random.default_rng(0)
     energy, bounds = make_energy(), np.array([[-0.2, 0.1], [0.2, 0.4]])
     placements = np.array([np.eye(4), np.diag([1.0, -1.0, -1.0, 1.0])])
-    objective = SequenceObjective(energy, placements, *rng.normal(size=(2, 12)), bounds, CostOptions())
-    return objective, PoseLattice.build(energy, placements, bounds)
+    planar = PlanarPoses.level(placements, bounds)
+    objective = SequenceObjective(energy, planar, *rng.normal(size=(2, 12)), CostOptions())
+    return objective, PoseLattice.build(energy, planar)
 
 
 @pytest.mark.parametrize(("starts", "count"), [("lattice", 5), ("random", 5), ("langevin", 5)])

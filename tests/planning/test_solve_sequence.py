@@ -209,7 +209,7 @@ def test_a_pose_outside_the_workspace_is_not_accepted(bottle_problem):
         if ((plan.xi[:, :2] < low) | (plan.xi[:, :2] > high)).any():
             break
     bounds = replace(problem.workcell.bounds, x=(low[0], high[0]), y=(low[1], high[1]))
-    narrow = replace(problem, workcell=replace(problem.workcell, bounds=bounds))
+    narrow = replace(problem, workcell=problem.workcell.within(bounds))
     vars(narrow).update(energy=problem.energy, lattice=problem.lattice)  # the cached ones, of the wide workspace
 
     class Stubborn(Shifted):

@@ -111,7 +111,7 @@ def test_residuals_see_that_an_end_lies_outside_the_workspace(plan, end, axis, s
         limits = [-1.0, 1.0]
         limits[side] = center + beyond * (1, -1)[side]
         bounds = dataclasses.replace(cell.bounds, **{axis: tuple(limits)})
-        problem = dataclasses.replace(plan.problem, workcell=dataclasses.replace(cell, bounds=bounds))
+        problem = dataclasses.replace(plan.problem, workcell=cell.within(bounds))
         texts = dataclasses.replace(plan, problem=problem, transitions=()).residuals().problems
         return f"the {('start', 'goal')[end]} lies outside the workspace" in texts
 

@@ -186,7 +186,7 @@ def test_unknown_workcells_list_the_known_ones():
         ("[workspace]", "[workspac]", "unknown key 'workspac'; allowed: workspace, "),
         ("height = 0.0", "heigth = 0.0", "unknown key 'table.heigth'; allowed: height, "),
         ("schema = 1", "", "key 'schema' is missing"),
-        ("schema = 1", "schema = 2", "key 'schema': should be 1, not 2"),
+        ("schema = 1", "schema = 3", "key 'schema' is 3; this version reads schemas 1 and 2"),
         ("size = [1.4, 1.2]", "", "key 'table.size' is missing"),
         ("size = [1.4, 1.2]", "size = [1.4]", "key 'table.size.1' is missing"),
         ("size = [1.4, 1.2]", "size = [1.4, -1.2]", "key 'table.size.1': should be greater than 0, not -1.2"),

@@ -6,6 +6,7 @@ import pytest
 from regrasp_opt.connectivity import CostOptions, SequenceObjective
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
 from regrasp_opt.errors import OptionError
+from regrasp_opt.geometry.planar_poses import PlanarPoses
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.solvers import Candidates, LangevinRefiner
 
@@ -30,7 +31,9 @@ def quadratic():
     model = EnergyModel(layers[0], layers[1], "silu", "paper", False, False, 1.0)
     grasps = GraspSet(np.eye(4)[None], np.zeros(1), "parallel")
     ends = np.zeros((2, 1))
-    return SequenceObjective(GraspEnergy(model, grasps), np.eye(4)[None], *ends, BOUNDS, CostOptions())
+    return SequenceObjective(
+        GraspEnergy(model, grasps), PlanarPoses.level(np.eye(4)[None], BOUNDS), *ends, CostOptions()
+    )
 
 
 def run(objective, at=(0.0, 0.0), **options):

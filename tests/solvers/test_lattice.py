@@ -8,6 +8,7 @@ import pytest
 from scipy.stats import poisson
 
 from regrasp_opt.connectivity import CostOptions, SequenceObjective, sequence_cost
+from regrasp_opt.geometry.planar_poses import PlanarPoses
 from regrasp_opt.solvers import PoseLattice, lattice_starts
 from regrasp_opt.solvers.lattice import SPACING, lattice_poses, shared_cost
 
@@ -17,7 +18,9 @@ BOUNDS = np.array([[-0.45, 0.1], [0.45, 0.6]])
 @pytest.fixture
 def make_objective(make_energy):
     def make(start, goal):
-        return SequenceObjective(make_energy(len(start)), np.eye(4)[None], start, goal, BOUNDS, CostOptions())
+        return SequenceObjective(
+            make_energy(len(start)), PlanarPoses.level(np.eye(4)[None], BOUNDS), start, goal, CostOptions()
+        )
 
     return make
 
@@ -34,7 +37,7 @@ def starts(lattice, objective, num_regrasps=1, count=1):
 
 
 def test_the_poses_are_6_cm_and_30_degrees_apart_and_fill_the_workspace():
-    numbers, xi = lattice_poses(2, BOUNDS)
+    numbers, xi = lattice_poses(PlanarPoses.level(np.tile(np.eye(4), (2, 1, 1)), BOUNDS))
     np.testing.assert_array_equal(np.unique(numbers), [0, 1])
     assert len(np.unique(np.column_stack([numbers, np.round(xi, 9)]), axis=0)) == len(xi)
     axes = [np.unique(np.round(xi[:, k], 9)) for k in range(3)]
@@ -43,12 +46,12 @@ def test_the_poses_are_6_cm_and_30_degrees_apart_and_fill_the_workspace():
         np.testing.assert_allclose(np.diff(axis), 0.06)
         assert axis[0] - low == pytest.approx(high - axis[-1]) and 0 <= axis[0] - low < SPACING / 2
     np.testing.assert_allclose(axes[2], np.deg2rad(np.arange(0, 360, 30)))
-    narrow = lattice_poses(1, np.array([[0.1, 0.2], [0.1 + 0.9 * SPACING, 0.2]]))[1]
+    narrow = lattice_poses(PlanarPoses.level(np.eye(4)[None], np.array([[0.1, 0.2], [0.1 + 0.9 * SPACING, 0.2]])))[1]
     np.testing.assert_allclose(np.unique(narrow[:, :2], axis=0), [[0.1 + 0.45 * SPACING, 0.2]])
 
 
 def test_cells_are_squares_of_three_spacings_and_quarter_turns():
-    numbers, xi = lattice_poses(2, BOUNDS)
+    numbers, xi = lattice_poses(PlanarPoses.level(np.tile(np.eye(4), (2, 1, 1)), BOUNDS))
     cells = PoseLattice(numbers, xi, np.zeros((len(xi), 1), np.float32)).cells
     for cell in np.unique(cells)[::7]:
         inside = xi[cells == cell]

@@ -11,6 +11,7 @@ from regrasp_opt.connectivity import BLOCKED, CostOptions, SequenceObjective, Ta
 from regrasp_opt.energy.features import feature_count
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
 from regrasp_opt.errors import OptionError
+from regrasp_opt.geometry.planar_poses import PlanarPoses
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.solvers import (
     Candidates,
@@ -53,7 +54,9 @@ def bowl_objective() -> SequenceObjective:
     model = EnergyModel(tuple(arrays[0]), tuple(arrays[1]), "tanh", "paper", False, True, 1.0)
     grasps = GraspSet(np.tile(np.eye(4), (3, 1, 1)), np.zeros(3), "parallel")
     ends = exact_energy(np.ones(3, dtype=bool))
-    return SequenceObjective(GraspEnergy(model, grasps), np.eye(4)[None], ends, ends, BOUNDS, CostOptions())
+    return SequenceObjective(
+        GraspEnergy(model, grasps), PlanarPoses.level(np.eye(4)[None], BOUNDS), ends, ends, CostOptions()
+    )
 
 
 @pytest.fixture
@@ -64,7 +67,7 @@ def random_objective(make_energy):
     placements[1, :3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]
     placements[2, :3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
     ends = [exact_energy(rng.random(20) < 0.3) for _ in range(2)]
-    return SequenceObjective(energy, placements, *ends, BOUNDS, CostOptions())
+    return SequenceObjective(energy, PlanarPoses.level(placements, BOUNDS), *ends, CostOptions())
 
 
 @pytest.mark.parametrize("refiner", REFINERS[:3], ids=lambda r: r.name)
@@ -126,7 +129,7 @@ def test_langevin_gradient_is_that_of_the_objective(random_objective, device):
 
 
 def test_lattice_starts_are_chains_of_lattice_poses_with_their_true_cost(random_objective):
-    lattice = PoseLattice.build(random_objective.energy, random_objective.placements, BOUNDS)
+    lattice = PoseLattice.build(random_objective.energy, random_objective.placements)
     known = {(int(p), *np.round(x, 9)) for p, x in zip(lattice.placements, lattice.xi, strict=True)}
     for num_regrasps in (1, 2, 3):
         chains = lattice_starts(lattice, random_objective, num_regrasps, 12, np.random.default_rng(0))
@@ -139,7 +142,7 @@ def test_lattice_starts_are_chains_of_lattice_poses_with_their_true_cost(random_
 
 def test_one_step_lattice_start_is_the_best_of_the_lattice(random_objective):
     """With J+ and probabilities far from one the ranking by success is that of an exhaustive search."""
-    lattice = PoseLattice.build(random_objective.energy, random_objective.placements, BOUNDS)
+    lattice = PoseLattice.build(random_objective.energy, random_objective.placements)
     best = lattice_starts(lattice, random_objective, 1, 1, np.random.default_rng(0))
     P = np.exp(-lattice.energies.astype(float))
     masses = [P @ np.exp(-end) for end in (random_objective.start_energy, random_objective.goal_energy)]
@@ -150,7 +153,7 @@ def test_one_step_lattice_start_is_the_best_of_the_lattice(random_objective):
 
 
 def test_lattice_starts_leave_out_what_has_no_chance(random_objective, monkeypatch):
-    lattice = PoseLattice.build(random_objective.energy, random_objective.placements, BOUNDS)
+    lattice = PoseLattice.build(random_objective.energy, random_objective.placements)
 
     def starts(objective):
         return lattice_starts(lattice, objective, 1, len(lattice.xi), np.random.default_rng(0))

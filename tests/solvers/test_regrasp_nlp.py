@@ -10,9 +10,11 @@ from regrasp_opt.connectivity import CostOptions, SequenceObjective
 from regrasp_opt.connectivity.embedding import ProblemEnergy
 from regrasp_opt.conventions import planar_transform
 from regrasp_opt.errors import OptionError
+from regrasp_opt.geometry.planar_poses import PlanarPoses
 from regrasp_opt.solvers import Candidates, NlpRefiner, ProgramOptions, RegraspNLP
 
 BOUNDS = np.array([[-0.45, 0.1], [0.45, 0.6]])
+LIMITS = np.column_stack([BOUNDS, [-np.inf, np.inf]])
 GUESS = np.array([[0.1, 0.3, 0.5], [-0.2, 0.4, 2.0]])
 PLACEMENTS = [0, 3]
 CAMERA = ca.DM([0.2, 0.5])
@@ -25,7 +27,7 @@ def setting(make_energy):
     energy, rng = make_energy(grasps=20, hidden=12), np.random.default_rng(3)
     placements = np.tile(np.eye(4), (4, 1, 1))
     placements[:, :3, :3] = Rotation.random(4, rng=rng).as_matrix()
-    return ProblemEnergy(energy.model, energy.grasps, placements), rng.uniform(0, 4, (2, 20))
+    return ProblemEnergy(energy.model, energy.grasps, PlanarPoses.level(placements, BOUNDS)), rng.uniform(0, 4, (2, 20))
 
 
 @pytest.fixture
@@ -37,7 +39,7 @@ def make_nlp(setting):
         fixed = {"start": ends[0], "goal": ends[1]}
         values = {"start": ends[0], "goal": ends[1], "mask": np.ones(20)}
         functions = energy.casadi_functions(placements=PLACEMENTS, **{**fixed, **inputs})
-        return RegraspNLP(functions, BOUNDS, GUESS, {name: values[name] for name in inputs})
+        return RegraspNLP(functions, LIMITS, GUESS, {name: values[name] for name in inputs})
 
     return make
 
@@ -80,7 +82,7 @@ def test_the_program_has_the_parts_that_casadi_solves(make_nlp):
 
 def test_without_extensions_it_is_the_planners_program(setting, make_nlp):
     energy, ends = setting
-    objective = SequenceObjective(energy, energy.placements, *ends, BOUNDS, CostOptions())
+    objective = SequenceObjective(energy, energy.placements, *ends, CostOptions())
     start = Candidates(np.array([PLACEMENTS]), GUESS[None], np.zeros(1))
     refined = NlpRefiner().refine(objective, start, np.random.default_rng(0))
     solution = make_nlp().solve()
@@ -96,7 +98,7 @@ def test_ends_and_mask_may_be_parameters(setting, make_nlp):
     assert given.solve().f == pytest.approx(make_nlp().solve().f, abs=1e-9)
     given.set_parameter("goal", np.zeros(20))
     functions = energy.casadi_functions(placements=PLACEMENTS, start=ends[0], goal=np.zeros(20))
-    assert given.solve().f == pytest.approx(RegraspNLP(functions, BOUNDS, GUESS).solve().f, abs=1e-9)
+    assert given.solve().f == pytest.approx(RegraspNLP(functions, LIMITS, GUESS).solve().f, abs=1e-9)
 
 
 @pytest.mark.parametrize("extended", [False, True])
@@ -164,7 +166,7 @@ def test_an_unreachable_constraint_is_not_hidden(make_nlp):
         (lambda nlp: [nlp.add_constraint("d", nlp.xi[0, 0], upper=1) for _ in range(2)], "constraint 'd' already"),
         (lambda nlp: (nlp.add_cost(ca.MX.sym("z")), nlp.solve()), "'z' is neither a variable nor a parameter"),
         (lambda nlp: (nlp.add_cost(ca.MX.sym("z")), nlp.add_to_opti(ca.Opti())), "'z' is neither a variable"),
-        (lambda nlp: RegraspNLP(nlp.functions, BOUNDS, GUESS[:1]), r"guess has shape \(1, 3\); give 2 finite rows"),
+        (lambda nlp: RegraspNLP(nlp.functions, LIMITS, GUESS[:1]), r"guess has shape \(1, 3\); give 2 finite rows"),
     ],
 )
 def test_wrong_extensions_are_named(make_nlp, wrong, message):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from regrasp_opt.connectivity import CostOptions, SequenceObjective
+from regrasp_opt.geometry.planar_poses import PlanarPoses
 from regrasp_opt.solvers import random_starts
 from regrasp_opt.solvers.base import keep_better, wrap_yaw
 
@@ -13,7 +14,7 @@ BOUNDS = np.array([[-0.45, 0.1], [0.45, 0.6]])
 @pytest.fixture
 def objective(make_energy):
     placements = np.array([np.eye(4), np.diag([1.0, -1.0, -1.0, 1.0]), np.diag([-1.0, 1.0, -1.0, 1.0])])
-    return SequenceObjective(make_energy(5), placements, *np.zeros((2, 5)), BOUNDS, CostOptions())
+    return SequenceObjective(make_energy(5), PlanarPoses.level(placements, BOUNDS), *np.zeros((2, 5)), CostOptions())
 
 
 def test_random_starts_are_uniform_over_placements_and_the_workspace(objective):

@@ -64,9 +64,7 @@ def test_the_field_is_the_cost_of_moving_the_pose(plan):
     field = fields.cost_field(plan, 1)
     ends = [exact_energy(problem.feasible_grasps(T)) for T in (plan.poses[0], plan.poses[-1])]
     bounds = problem.workcell.bounds.array
-    objective = SequenceObjective(
-        problem.energy, problem.placement_poses, *ends, bounds, CostOptions(), problem.table_rule
-    )
+    objective = SequenceObjective(problem.energy, problem.rests.planar, *ends, CostOptions(), problem.table_rule)
     rng = np.random.default_rng(0)
     for row, column in zip(rng.integers(len(field.y), size=6), rng.integers(len(field.x), size=6), strict=True):
         xi = np.array([[[field.x[column], field.y[row], plan.xi[0, 2]]]])

@@ -206,7 +206,7 @@ def contenders(problem: RegraspProblem, own: RegraspProblem | None = None) -> di
     vars(control).update(
         checker=problem.checker,
         rules=problem.rules,
-        energy=ProblemEnergy(constant_energy(), problem.grasps, problem.placement_poses),
+        energy=ProblemEnergy(constant_energy(), problem.grasps, problem.rests.planar),
     )
     ways = {"arm energy": Contender(problem, "ipopt")}
     if own is not None:

@@ -24,6 +24,7 @@ from regrasp_opt.energy.casadi_energy import CasadiEnergy
 from regrasp_opt.energy.features import feature_count
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
 from regrasp_opt.feasibility.dataset import random_poses
+from regrasp_opt.geometry.planar_poses import PlanarPoses
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.threads import one_blas_thread
@@ -66,7 +67,7 @@ def median_time(function: Callable[[], Any], repeats: int, clock: Callable[[], f
 
 def _arguments(energy: GraspEnergy, num_regrasps: int) -> tuple[Any, ...]:
     rng = np.random.default_rng(1)
-    layers = layers_parameter(energy, _transforms(rng, num_regrasps))
+    layers = layers_parameter(energy, PlanarPoses.level(_transforms(rng, num_regrasps), np.zeros((2, 2))))
     ends = rng.uniform(0, 4, (2, len(energy)))
     return ca.DM(rng.normal(size=(num_regrasps, 3))), ca.DM(layers), *map(ca.DM, ends)
 

@@ -77,8 +77,7 @@ class OneStepTask:
         problem = self.problem
         if self.energy is problem.energy:
             return problem.lattice
-        bounds = problem.workcell.bounds.array
-        return PoseLattice.build(self.energy, problem.placement_poses, bounds, problem.table_rule)
+        return PoseLattice.build(self.energy, problem.rests.planar, problem.table_rule)
 
     @property
     def possible(self) -> bool:
@@ -90,8 +89,7 @@ class OneStepTask:
         problem = self.problem
         start, goal = self._end_energies(generator.ends)
         known = None if generator.ends == "learned" else problem.table_rule
-        bounds = problem.workcell.bounds.array
-        return SequenceObjective(self.energy, problem.placement_poses, start, goal, bounds, options, known)
+        return SequenceObjective(self.energy, problem.rests.planar, start, goal, options, known)
 
     def verdicts(self, placements: IntArray, xi: FloatArray) -> BoolArray:
         """Return which poses, `placements` (B,) and `xi` (B, 3), share, exactly, a grasp with each of the ends."""

@@ -71,7 +71,8 @@ def narrowed(cell: Workcell) -> Workcell:
     """Return `cell` with its workspace shrunk to 0.2 m by 0.2 m, off its middle."""
     (x_low, x_high), (y_low, y_high) = cell.bounds.x, cell.bounds.y
     x, y = 0.25 * x_low + 0.75 * x_high, (y_low + y_high) / 2
-    return replace(cell, name=f"{cell.name}, narrow", bounds=WorkspaceBounds((x - 0.1, x + 0.1), (y - 0.1, y + 0.1)))
+    small = WorkspaceBounds((x - 0.1, x + 0.1), (y - 0.1, y + 0.1))
+    return replace(cell.within(small), name=f"{cell.name}, narrow")
 
 
 @dataclass(frozen=True, eq=False)

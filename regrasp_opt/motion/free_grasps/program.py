@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any, Literal, NamedTuple
 
 import casadi as ca
@@ -11,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.energy.export import grasp_function
 from regrasp_opt.energy.model import EnergyModel
+from regrasp_opt.geometry.planar_poses import PlanarPoses
 from regrasp_opt.motion.refinement.program import planar
 from regrasp_opt.solvers.nonlinear_program import NonlinearProgram
 from regrasp_opt.solvers.options import ProgramOptions
@@ -48,10 +50,11 @@ class FreeGraspProgram:
         energy = grasp_function(model)
         nlp = NonlinearProgram()
         xi, d = nlp.variable("xi", (size, 3)), nlp.variable("steps", (size + 1, 6))
-        given = ca.horzsplit(nlp.parameter("transforms", (4, 4 * (2 * size + 3))), 4)
+        given = ca.horzsplit(nlp.parameter("transforms", (4, 4 * (3 * size + 3))), 4)
         width = nlp.parameter("width", size + 1)
-        placements, ends, grasps = given[:size], given[size : size + 2], given[size + 2 :]
-        poses = [ends[0], *[planar(xi[i, :]) @ T for i, T in enumerate(placements)], ends[1]]
+        edges = itertools.pairwise([0, size, 2 * size, 2 * size + 2, None])
+        surfaces, bases, ends, grasps = (given[slice(*edge)] for edge in edges)
+        poses = [ends[0], *[surfaces[i] @ planar(xi[i, :]) @ T for i, T in enumerate(bases)], ends[1]]
         nlp.add_cost(STEP_WEIGHT * ca.sumsqr(d))
         for i, T in enumerate(grasps):
             g = T @ _displacement(d[i, :].T)
@@ -60,31 +63,29 @@ class FreeGraspProgram:
 
     def solve(
         self,
-        placements: FloatArray,
+        placements: PlanarPoses,
         ends: FloatArray,
         T_object_tcp: FloatArray,
         width: FloatArray,
         start: ChainSolve,
-        bounds: FloatArray,
     ) -> ChainSolve:
         """Solve from `start`.
 
         Parameters
         ----------
-        placements : (N, 4, 4)
+        placements : PlanarPoses
+            N of them.
         ends : (2, 4, 4)
             Start and goal.
         T_object_tcp, width : (N+1, 4, 4), (N+1,)
             The grasps that the steps begin at.
-        bounds : (2, 2)
-            Of the intermediate poses [m].
         """
-        transforms = np.concatenate([placements, ends, T_object_tcp])
+        transforms = np.concatenate([placements.surfaces, placements.bases, ends, T_object_tcp])
         p = np.concatenate([transforms.transpose(0, 2, 1).ravel(), width])
         step = np.where(np.arange(6) == self._fixed, 0.0, 1.0)
         low, high = (
-            np.concatenate([np.tile([*side, sign * np.inf], self.size), np.tile(sign * step, self.size + 1)])
-            for side, sign in zip(bounds, (-1.0, 1.0), strict=True)
+            np.concatenate([side.ravel(), np.tile(sign * step, self.size + 1)])
+            for side, sign in ((placements.low, -1.0), (placements.high, 1.0))
         )
         x0 = np.concatenate([start.xi.ravel(), start.steps.ravel()]).clip(low, high)
         solution = self._solver.solve(x0, p=p, lbx=low, ubx=high)

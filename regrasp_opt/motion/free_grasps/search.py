@@ -20,10 +20,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from regrasp_opt.connectivity import exact_energy
-from regrasp_opt.conventions import FloatArray, IntArray, planar_transform
+from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.energy.model import GraspEnergy
 from regrasp_opt.errors import OptionError
-from regrasp_opt.feasibility.dataset import random_poses
 from regrasp_opt.motion.free_grasps.pool import GraspPool
 from regrasp_opt.motion.free_grasps.program import ChainSolve, FreeGraspProgram, displaced
 from regrasp_opt.planning import RegraspPlan, RegraspProblem, Status, Transition, solve_sequence
@@ -169,8 +168,8 @@ class _Search:
         chains = [_Chain(*nothing, direct[k : k + 1]) for k in range(min(count, len(direct)))]
         if len(self.programs) == 1:
             return chains
-        numbers, xi = random_poses(problem.placement_poses, problem.workcell.bounds.array, POSES, self.rng)
-        middle = energy(planar_transform(xi) @ problem.placement_poses[numbers], np.float32)
+        numbers, xi = problem.rests.planar.draw(POSES, self.rng)
+        middle = energy(problem.rests.planar.at(numbers, xi), np.float32)
         ids = np.stack([(middle + end).argmin(axis=1) for end in ends], axis=1)
         cost = sum((middle + end).min(axis=1) for end in ends) + NOISE * self.rng.gumbel(size=POSES)
         seen: set[tuple[int, ...]] = set()
@@ -184,12 +183,11 @@ class _Search:
     def _optimised(self, chain: _Chain) -> _Chain:
         """Return the chain with its poses and grasps moved; the grasps have settled and joined the set."""
         size = len(chain.xi)
-        placements, ids = self.problem.placement_poses[chain.placements], chain.grasp_ids.copy()
+        placements, ids = self.problem.rests.planar[chain.placements], chain.grasp_ids.copy()
         solve = ChainSolve(chain.xi, 0.3 * self.rng.normal(size=(size + 1, 6)), np.inf)
         for _ in range(self.options.steps):
             grasps = self.pool.grasps(ids)
-            bounds = self.problem.workcell.bounds.array
-            solve = self.programs[size].solve(placements, self.ends, grasps.T_object_tcp, grasps.width, solve, bounds)
+            solve = self.programs[size].solve(placements, self.ends, grasps.T_object_tcp, grasps.width, solve)
             moved = [self._settled(int(k), d) for k, d in zip(ids, solve.steps, strict=True)]
             if moved == ids.tolist():
                 break
@@ -209,8 +207,8 @@ class _Search:
         return grasp_id
 
     def _poses(self, chain: _Chain) -> FloatArray:
-        middle = [self.problem.pose(int(m), *x) for m, x in zip(chain.placements, chain.xi, strict=True)]
-        return np.array([self.ends[0], *middle, self.ends[1]])
+        middle = self.problem.rests.planar.at(chain.placements, chain.xi)
+        return np.concatenate([self.ends[:1], middle, self.ends[1:]])
 
     def _holds(self, grown: RegraspProblem, chain: _Chain) -> bool:
         """Return whether the exact checker verifies a chain with its own grasps."""

@@ -113,8 +113,7 @@ def _rows(world: CollisionWorld, phase: ContactPhase, capsules: dict[int, Capsul
     for i, j, needed in world.pairs(phase):
         body, other = capsules[i], world.bodies[j]
         if j in world.supports:
-            height = world.workcell.supports[world.supports.index(j)].height
-            found = [end[2] - body.radius - height for end in (body.a, body.b)] if i in world.moving else []
+            found = _to_support(body, world, j) if i in world.moving else []
         elif j in world.surroundings and j != world.object:
             found = _to_obstacle(body, other)
         else:
@@ -135,6 +134,14 @@ def _capsule(body: Body) -> Capsule:
 
 def _between(a: Capsule, b: Capsule) -> Any:
     return capsule_distance(a.a, a.b, a.radius, b.a, b.b, b.radius)
+
+
+def _to_support(body: Capsule, world: CollisionWorld, index: int) -> list[Any]:
+    """Return distances [m] of a world capsule to a support: to the plane of the only one, else to its body."""
+    if len(world.workcell.supports) > 1:
+        return _to_obstacle(body, world.bodies[index])
+    T = world.workcell.table.T_world_support
+    return [ca.dot(ca.DM(T[:3, 2]), end - ca.DM(T[:3, 3])) - body.radius for end in (body.a, body.b)]
 
 
 def _to_obstacle(body: Capsule, obstacle: Body) -> list[Any]:

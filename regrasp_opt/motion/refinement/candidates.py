@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from regrasp_opt.connectivity import SequenceObjective, exact_energy
-from regrasp_opt.conventions import FloatArray, IntArray, planar_transform
+from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.motion.refinement.measures import JointMeasures, Measure, MeasureBounds, manipulability, travel
 from regrasp_opt.planning import RegraspPlan, Transition
 from regrasp_opt.planning.verification import PoseFeasibility, enumerate_transition
@@ -89,7 +89,7 @@ class CandidateCheck:
     def poses(self, xi: FloatArray) -> FloatArray:
         """Return all poses (N+2, 4, 4) at planar parameters `xi` (N, 3) (Eq. 6)."""
         ends = self.plan.poses[[0, -1]]
-        middle = planar_transform(xi) @ self.problem.placement_poses[self.plan.placements]
+        middle = self.problem.rests.planar.at(self.plan.placements, xi)
         return np.concatenate([ends[:1], middle, ends[1:]])
 
     def chain(self, xi: FloatArray) -> list[PoseFeasibility]:
@@ -111,8 +111,7 @@ class CandidateCheck:
     def _refusal(self, xi: FloatArray, choice: JointChoice) -> str:
         """Return what the exact checker has against a choice; empty where it is verified."""
         checker, robot = self.problem.checker, self.problem.workcell.arm.robot
-        low, high = self.problem.workcell.bounds.array
-        if (xi[:, :2] < low - 1e-9).any() or (xi[:, :2] > high + 1e-9).any():
+        if not self.problem.rests.planar.allow(self.plan.placements, xi):
             return "a pose lies outside the workspace"
         poses = self.poses(xi)
         for i, T in enumerate(poses[1:-1], start=1):

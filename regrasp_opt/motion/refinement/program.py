@@ -133,14 +133,14 @@ class JointProgram:
         self._check, self._minimise, self._weight, self._choice = check, minimise, cost_weight, choice
         self._functions, self._start = joint_functions(problem), check.poses(xi)
         self._reached = not check.bounds.shortfall(check.measured(xi, choice))
-        low, high = ([*side, e] for side, e in zip(problem.workcell.bounds.array, (-np.inf, np.inf), strict=True))
+        at = problem.rests.planar[check.plan.placements]
         q, nlp = choice.q.reshape(-1, robot.dof), NonlinearProgram()
-        self._nlp, self._xi = nlp, nlp.variable("xi", xi.shape, lower=low, upper=high, guess=xi)
+        self._nlp, self._xi = nlp, nlp.variable("xi", xi.shape, lower=at.low, upper=at.high, guess=xi)
         self._q = nlp.variable("q", q.shape, lower=robot.lower, upper=robot.upper, guess=q)
         self._least = nlp.variable("least", lower=-10.0, upper=10.0)
         poses = [ca.MX(ca.DM(T)) for T in self._start]
-        for i, T in enumerate(problem.placement_poses[check.plan.placements]):
-            poses[i + 1] = planar(self._xi[i, :]) @ ca.MX(ca.DM(T))
+        for i, (surface, base) in enumerate(zip(at.surfaces, at.bases, strict=True)):
+            poses[i + 1] = ca.MX(ca.DM(surface)) @ planar(self._xi[i, :]) @ ca.MX(ca.DM(base))
         for i, side in np.ndindex(choice.q.shape[:2]):
             self._add_configuration(i, side, poses[i + side])
         clearances = self._functions.object_clearances

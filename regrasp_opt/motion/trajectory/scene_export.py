@@ -40,7 +40,8 @@ def save_scene(plan: RegraspPlan, folder: str | os.PathLike[str]) -> None:
     cell, robot = problem.workcell, problem.workcell.arm.robot
     _write_xml(_robot(robot), folder / "robot.urdf")
     _write_xml(_gripper(plan, folder), folder / "gripper.urdf")
-    fixed = [("table", cell.table.shape), *((s.name, s) for s in cell.obstacles)]
+    supports = [shape for support in cell.supports for shape in support.shapes]
+    fixed = [(shape.name, shape) for shape in (*supports, *cell.obstacles)]
     _write_xml(_surroundings(fixed, folder), folder / "surroundings.urdf")
     _write_mesh(problem.object.vertices, problem.object.faces, folder / "object.stl")
     _write_xml(_object(problem.object.mesh), folder / "object.urdf")

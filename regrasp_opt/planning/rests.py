@@ -1,0 +1,181 @@
+"""Rests: the ways in which the object of a problem can stand in its workcell, each a placement on a support."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from regrasp_opt.conventions import FloatArray, IntArray, invert, planar_transform
+from regrasp_opt.errors import PoseError, WorkcellError
+from regrasp_opt.geometry.planar_poses import PlanarPoses
+from regrasp_opt.geometry.shapes import shape_geometry
+from regrasp_opt.geometry.solids import Solid, distance
+from regrasp_opt.objects import ObjectModel
+from regrasp_opt.objects.rolling import LEAST_MARGIN
+from regrasp_opt.scene import Fixture, Support, Workcell
+
+NEST_OVERLAP = 1e-3
+"""Depth to which an object and the bodies of its fixture may overlap [m]: meshes of both are approximate."""
+
+
+class Rest(NamedTuple):
+    """One way to stand.
+
+    Attributes
+    ----------
+    support : Support or Fixture
+    placement : int
+        Number of the object's stable placement, or of the fixture's pose.
+    """
+
+    support: Support | Fixture
+    placement: int
+
+    @property
+    def label(self) -> str:
+        """What messages call it, as in ``shelf/2``."""
+        support, number = self
+        return f"{support.name}/{support.poses[number].name if isinstance(support, Fixture) else number}"
+
+
+class Station(NamedTuple):
+    """Where the object is at one pose of a plan.
+
+    Attributes
+    ----------
+    support : str or None
+        Name of the support; None where it is on none.
+    placement : int or None
+        Number of the stable placement, or of the fixture's pose; None where it is in none of them.
+    xi : (3,) array or None
+        Planar parameters (x, y, theta) in the plane of the support [m, m, rad].
+    """
+
+    support: str | None
+    placement: int | None
+    xi: FloatArray | None
+
+
+@dataclass(frozen=True, eq=False)
+class Rests(Sequence[Rest]):
+    """All rests of an object in a workcell; those on the first support come first, in the order of its placements.
+
+    Attributes
+    ----------
+    items : tuple of Rest
+    supports : (S,) int
+        Number of the support of each.
+    planar : PlanarPoses
+        Their poses and the limits of `xi`.
+    """
+
+    items: tuple[Rest, ...]
+    supports: IntArray
+    planar: PlanarPoses
+
+    @staticmethod
+    def of(body: ObjectModel, cell: Workcell) -> Rests:
+        """Return the rests of `body` on the supports of `cell`.
+
+        On a tilted board those placements remain that are stable at every yaw: the centre of mass moves downhill by the
+        tangent of the tilt, in units of its height, as margins are.
+        """
+        items, numbers, surfaces, bases, limits, weights = [], [], [], [], [], []
+        for number, support in enumerate(cell.supports):
+            for k, base, low, high in _on(support, body):
+                items.append(Rest(support, k))
+                numbers.append(number)
+                surfaces.append(support.T_world_support)
+                bases.append(base)
+                limits.append((low, high))
+                weights.append(support.weight)
+        shape = (-1, 2, 3)
+        low, high = np.moveaxis(np.array(limits, dtype=np.float64).reshape(shape), 1, 0)
+        planar = PlanarPoses(
+            np.array(surfaces).reshape(-1, 4, 4), np.array(bases).reshape(-1, 4, 4), low, high, np.array(weights)
+        )
+        return Rests(tuple(items), np.array(numbers, dtype=np.int64), planar)
+
+    def __len__(self) -> int:
+        return len(self.items)
+
+    def __getitem__(self, number):  # type: ignore[no-untyped-def]
+        """Return the rest of this number."""
+        return self.items[number]
+
+    def number(self, support: str | None, placement: int) -> int:
+        """Return the number of the rest of `placement` on the support of that name, the first one for None.
+
+        Raises
+        ------
+        PoseError
+            If there is none.
+        """
+        on = [k for k, rest in enumerate(self.items) if support in (None, rest.support.name)]
+        if support is None:
+            on = [k for k in on if self.supports[k] == 0]
+        for k in on:
+            if self.items[k].placement == placement:
+                return k
+        there = ", ".join(str(self.items[k].placement) for k in on) or "none"
+        raise PoseError(f"there is no placement {placement} on '{support}'; there are: {there}")
+
+    def find(self, T: FloatArray, tolerance: float) -> tuple[int, FloatArray] | None:
+        """Return the rest that the object is in at `T` (4, 4), and xi (3,), or None; one within its limits if any is.
+
+        `tolerance` is how far the rotation matrix's entries and the height [m] may together be off.
+        """
+        if not len(self):
+            return None
+        xi, error = self.nearest(T)
+        inside = ((xi >= self.planar.low - tolerance) & (xi <= self.planar.high + tolerance)).all(axis=1)
+        error[~inside & np.isfinite(self.planar.high[:, 2])] = np.inf  # a fixture holds it in one pose only
+        close = np.flatnonzero(error <= tolerance)
+        if not len(close):
+            return None
+        number = int(close[np.lexsort((error[close], ~inside[close]))[0]])
+        return number, xi[number]
+
+    def nearest(self, T: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return for each rest the xi (S, 3) nearest to `T` (4, 4), and how far it is off (S,): entries and height."""
+        local = invert(self.planar.surfaces) @ T
+        base = self.planar.bases
+        turn = local[:, :3, :3] @ base[:, :3, :3].transpose(0, 2, 1)
+        yaw = np.arctan2(turn[:, 1, 0] - turn[:, 0, 1], turn[:, 0, 0] + turn[:, 1, 1])
+        upright = planar_transform(np.stack([0 * yaw, 0 * yaw, yaw], axis=-1)) @ base
+        moved = local[:, :3, 3] - upright[:, :3, 3]
+        error = np.abs(upright[:, :3, :3] - local[:, :3, :3]).max(axis=(1, 2)) + np.abs(moved[:, 2])
+        return np.column_stack([moved[:, :2], yaw]), error
+
+
+def check_fixtures(body: ObjectModel, cell: Workcell) -> None:
+    """Raise a WorkcellError where a fixture holds the object in a pose in which they overlap."""
+    for fixture in cell.supports:
+        for pose in fixture.poses if isinstance(fixture, Fixture) else ():
+            if pose.object not in (None, body.name):
+                continue
+            T = fixture.T_world_support @ pose.T_support_object
+            for shape in fixture.shapes:
+                depth = -distance(body.solid, Solid(shape_geometry(shape)), T, shape.pose)
+                if depth > NEST_OVERLAP:
+                    raise WorkcellError(
+                        f"{cell.source}: '{body.name}' overlaps '{shape.name}' by {depth * 1e3:.1f} mm in pose "
+                        f"'{pose.name}' of the fixture '{fixture.name}'; move the pose or the body, or name the object "
+                        "that the pose is for"
+                    )
+
+
+def _on(support: Support | Fixture, body: ObjectModel):  # type: ignore[no-untyped-def]
+    """Yield number, T_support_object (4, 4) and limits of xi, (3,) each, of the ways to be on a support."""
+    if isinstance(support, Fixture):
+        for k, pose in enumerate(support.poses):
+            if pose.object in (None, body.name):
+                yield k, pose.T_support_object, np.zeros(3), np.zeros(3)
+        return
+    low, high = (np.append(side, yaw) for side, yaw in zip(support.workspace.array, (-np.inf, np.inf), strict=True))
+    for k, placement in enumerate(body.placements):
+        if not support.slope or placement.margin - support.slope >= LEAST_MARGIN:
+            yield k, placement.pose, low, high
