@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from regrasp_opt.conventions import FloatArray
+from regrasp_opt.conventions import BoolArray, FloatArray
 from regrasp_opt.geometry.shapes import shape_geometry
 from regrasp_opt.geometry.solids import Containment
 from regrasp_opt.scene.collision_world import WORLD, CollisionWorld, ContactPhase
@@ -64,15 +64,15 @@ class CollisionModel:
             self.geometry.geometryObjects[index].placement = placement
             self.inside.moved(index)
 
-    def test(self, margins: FloatArray, count: int | None = None) -> tuple[Any, Any]:
+    def test(self, margins: FloatArray, asked: BoolArray | None = None) -> tuple[Any, Any]:
         """Return a test for `pin.computeCollisions`, and its queries, which it does not keep alive.
 
-        It asks the first `count` pairs for distances of at least `margins` (P,) [m]. It looks at bounding boxes, grown
-        by these, before bodies: exact, and three to four times faster than all pairs.
+        It asks the pairs that are `asked` (P,), by default all, for distances of at least `margins` (P,) [m]. It looks
+        at bounding boxes, grown by these, before bodies: exact, and three to four times faster than all pairs.
         """
         queries = self.geometry.createData()
         settle_queries(queries, margins)
-        for pair in range(len(margins) if count is None else count, len(margins)):
+        for pair in [] if asked is None else np.flatnonzero(~asked).tolist():
             queries.deactivateCollisionPair(pair)
         return pin.BroadPhaseManager_NaiveCollisionManager(self.model, self.geometry, queries), queries
 

@@ -17,7 +17,9 @@ import pinocchio as pin
 from scipy.spatial import ConvexHull
 
 from regrasp_opt.conventions import FloatArray, invert
+from regrasp_opt.geometry.solids import distance
 from regrasp_opt.planning import RegraspProblem
+from regrasp_opt.scene import Fixture
 from regrasp_opt.scene.collision_model import CollisionModel
 from regrasp_opt.scene.collision_world import CollisionWorld, ContactPhase
 
@@ -52,7 +54,7 @@ class CollisionContext:
 
 
 class MotionScene:
-    """The bodies of a problem for motions, in two models: object on the table and object in hand."""
+    """The bodies of a problem for motions, in two models: object on a support and object in hand."""
 
     def __init__(self, problem: RegraspProblem) -> None:
         self._problem = problem
@@ -79,23 +81,35 @@ class MotionScene:
     def lifting(self, grasp_id: int, T_world_rest: FloatArray) -> CollisionContext:
         """Return the context of lifting from, or lowering to, a resting pose (4, 4).
 
-        The object may touch the table: its lowest point must not be more than `TOUCH` below where it rests, or below
-        the table's top where it rests higher. Everything else is as in `holding`.
+        The object may touch the support that it is on: its lowest point must not be more than `TOUCH` below where it
+        rests, or below the board's top where it rests higher; in a fixture, it must not be deeper in any of its bodies
+        than at rest by more than that. Everything else is as in `holding`.
         """
-        arrangement, data = self._in_hand(grasp_id), self._held.data
-        context, cell = self._held.context(ContactPhase.LIFT, arrangement), self._problem.workcell
-        lowest = float((self._corners @ T_world_rest[2, :3]).min() + T_world_rest[2, 3])
-        floor = min(lowest, cell.table.height)
-        up, joint = cell.arm.T_world_base[2], cell.arm.robot.dof
+        arrangement, data, cell = self._in_hand(grasp_id), self._held.data, self._problem.workcell
+        on = self._problem.checker.support_below(T_world_rest) or 0
+        context = self._held.context(ContactPhase.LIFT, arrangement, on if len(cell.supports) > 1 else None)
+        height = self._height_in if isinstance(cell.supports[on], Fixture) else self._height_on
+        floor, joint = min(height(T_world_rest, on), 0.0), cell.arm.robot.dof
 
         def passes(q: FloatArray, level: int) -> bool:
             if not context.passes(q, level):
                 return False
-            T = data.oMi[joint].homogeneous @ arrangement.T_object
-            z = (self._corners @ (up[:3] @ T[:3, :3])).min() + up[:3] @ T[:3, 3] + up[3]
-            return bool(z - floor >= LEVELS[level] / 2 - TOUCH)
+            T = cell.arm.T_world_base @ (data.oMi[joint].homogeneous @ arrangement.T_object)
+            return bool(height(T, on) - floor >= LEVELS[level] / 2 - TOUCH)
 
         return CollisionContext(passes, context.reach)
+
+    def _height_on(self, T: FloatArray, on: int) -> float:
+        """Return how high the object at `T` (4, 4) is above the board of that number [m]."""
+        board = self._problem.workcell.supports[on].T_world_support
+        up = board[:3, 2]
+        return float((self._corners @ (up @ T[:3, :3])).min() + up @ (T[:3, 3] - board[:3, 3]))
+
+    def _height_in(self, T: FloatArray, on: int) -> float:
+        """Return how far the object at `T` (4, 4) is from the bodies of the fixture of that number [m]."""
+        world, body = self._held.world, self._problem.object.solid
+        near = [distance(body, world.solids[i], T, world.bodies[i].pose) for i in world.by_support[on]]
+        return min(near, default=np.inf)
 
     def _in_hand(self, grasp_id: int) -> _Arrangement:
         grasps, arm = self._problem.grasps, self._problem.workcell.arm
@@ -118,14 +132,16 @@ class _Model(CollisionModel):
         super().__init__(world, phase)
         self._robot = world.workcell.arm.robot
         self._arrangement: _Arrangement | None = None
-        self._tests: dict[ContactPhase, list[tuple[Any, Any]]] = {}
+        self._tests: dict[tuple[ContactPhase, int | None], list[tuple[Any, Any]]] = {}
 
-    def context(self, phase: ContactPhase, arrangement: _Arrangement) -> CollisionContext:
-        """Return the context of an arrangement in a phase whose pairs this model's begin with."""
-        if phase not in self._tests:
+    def context(self, phase: ContactPhase, arrangement: _Arrangement, on: int | None = None) -> CollisionContext:
+        """Return the context of an arrangement in a phase, `on` a support, whose pairs are among this model's."""
+        if (phase, on) not in self._tests:
             margins = [np.maximum(self.required, FLOOR * self.required + size / 2) for size in LEVELS]
-            self._tests[phase] = [self.test(least, len(self.world.pairs(phase))) for least in margins]
-        tests = self._tests[phase]
+            known = {(i, j) for i, j, _ in self.world.pairs(phase, on)}
+            asked = np.array([pair in known for pair in self.pairs])
+            self._tests[phase, on] = [self.test(least, asked) for least in margins]
+        tests = self._tests[phase, on]
 
         def passes(q: FloatArray, level: int) -> bool:
             self._arrange(arrangement)

@@ -19,6 +19,9 @@ from regrasp_opt.planning import RegraspPlan
 TILT = 1.0
 """Tangent of the angle by which lines of the tool are tilted."""
 
+OUTWARD = 6.0
+"""The same, of lines that lead out from under another support."""
+
 RISE = 0.3
 """Least share by which the tool's axis must rise to be a direction of lifting."""
 
@@ -156,7 +159,8 @@ class PickPlaceMotion:
         q = self._grasped.q_pick if phase in AT_PICK else self._grasped.q_place
         for turned in (False, True)[: 1 + tilted]:
             if (phase, turned) not in self._lines:
-                directions = self._upwards(q, turned) if phase.holds else self._backwards(q, turned)
+                T = self._T_pick if phase in AT_PICK else self._T_place
+                directions = self._upwards(q, T, turned) if phase.holds else self._backwards(q, turned)
                 directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
                 self._lines[phase, turned] = self._tools.connector.away(self._context(phase), q, directions)
             if self._lines[phase, turned] is not None:
@@ -179,16 +183,22 @@ class PickPlaceMotion:
                 return phase
         return None
 
-    def _upwards(self, q: FloatArray, tilted: bool) -> FloatArray:
-        """Return directions (D, 3) in the base frame in which the object is lifted at `q` (dof,)."""
-        arm = self._tools.plan.problem.workcell.arm
-        flange, up = arm.robot.forward(q), arm.T_base_world[:3, 2]
+    def _upwards(self, q: FloatArray, T: FloatArray, tilted: bool) -> FloatArray:
+        """Return directions (D, 3) in the base frame in which the object at `T` (4, 4) is lifted at `q` (dof,).
+
+        That is away from its support. Where there are others, tilted ones lead out of a shelf as well.
+        """
+        problem = self._tools.plan.problem
+        arm, supports = problem.workcell.arm, problem.workcell.supports
+        normal = supports[problem.checker.support_below(T) or 0].normal
+        flange, up = arm.robot.forward(q), arm.T_base_world[:3, :3] @ normal
         if not tilted:
             return up[None]
         sideways = np.cross(up, flange[:3, 3])
         level = [np.cross(sideways, up), sideways]  # away from the base, and across
         level = [vector / max(float(np.linalg.norm(vector)), 1e-9) for vector in level]
-        directions = np.array([up + TILT * sign * vector for vector in level for sign in (-1.0, 1.0)])
+        tilts = (TILT, OUTWARD) if len(supports) > 1 else (TILT,)
+        directions = np.array([up + t * sign * vector for t in tilts for vector in level for sign in (-1.0, 1.0)])
         back = -flange[:3, 2]
         return np.vstack([back, directions]) if back @ up > RISE else directions
 
