@@ -97,7 +97,8 @@ def keep_better(objective: SequenceObjective, starts: Candidates, xi: FloatArray
 
 def random_starts(objective: SequenceObjective, num_regrasps: int, count: int, rng: np.random.Generator) -> Candidates:
     """Return `count` sequences of random placements at uniform planar parameters (Alg. 1, line 2)."""
-    placements = rng.integers(len(objective.placements), size=(count, num_regrasps))
+    choices = np.arange(len(objective.placements)) if objective.choices is None else objective.choices
+    placements = choices[rng.integers(len(choices), size=(count, num_regrasps))]
     share = np.concatenate([rng.random((count, num_regrasps, k)) for k in (2, 1)], axis=2)
     xi = objective.placements.inside(placements, share)
     return Candidates(placements, xi, objective.cost(placements, xi, np.float32).astype(np.float64))

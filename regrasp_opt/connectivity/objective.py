@@ -74,6 +74,8 @@ class SequenceObjective:
     options : CostOptions
     rule : callable, optional
         A `Rule`; grasps that it rules out count as `BLOCKED`.
+    choices : (C,) int, optional
+        Numbers of the placements that intermediate poses may have; by default all.
     """
 
     energy: GraspEnergy
@@ -82,6 +84,7 @@ class SequenceObjective:
     goal_energy: FloatArray
     options: CostOptions
     rule: Rule | None = None
+    choices: IntArray | None = None
 
     def poses(self, placements: IntArray, xi: FloatArray) -> FloatArray:
         """Return object poses (..., 4, 4) of numbers `placements` (...) and planar parameters `xi` (..., 3) (Eq. 6)."""

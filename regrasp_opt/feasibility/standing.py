@@ -65,17 +65,22 @@ def support_of(T: FloatArray, body: ObjectModel, cell: Workcell) -> int | None:
     return None
 
 
+def nearest_board(T: FloatArray, body: ObjectModel, cell: Workcell) -> Support:
+    """Return the board that the object at `T` (4, 4) is nearest to, of those below or above its centre if there are."""
+    vertices, center = body.vertices @ T[:3, :3].T + T[:3, 3], T[:3, :3] @ body.center_of_mass + T[:3, 3]
+    aside = [bool(_beyond(board.seen(center)[None, :2], board).any()) for board in cell.boards]
+    gaps = [abs(_contact(vertices, board)[0]) for board in cell.boards]
+    return cell.boards[min(range(len(gaps)), key=lambda k: (aside[k], gaps[k]))]
+
+
 def rest_problem(T: FloatArray, body: ObjectModel, cell: Workcell) -> str | None:
     """Return what keeps the object from resting on any support at `T` (4, 4), or None.
 
-    Where it touches none, the nearest one below it, or the first, is named.
+    Where it touches none, the nearest board is named.
     """
     vertices, center = body.vertices @ T[:3, :3].T + T[:3, 3], T[:3, :3] @ body.center_of_mass + T[:3, 3]
     number = support_of(T, body, cell)
-    if number is None:
-        gaps = [abs(_contact(vertices, board)[0]) for board in cell.boards]
-        return resting_problem(vertices, center, cell.boards[int(np.argmin(gaps))])
-    support = cell.supports[number]
+    support = nearest_board(T, body, cell) if number is None else cell.supports[number]
     if isinstance(support, Fixture):
         return None
     problem = resting_problem(vertices, center, support)

@@ -10,7 +10,7 @@ from regrasp_opt.connectivity import BLOCKED, exact_energy
 from regrasp_opt.conventions import BoolArray, FloatArray, as_pose
 from regrasp_opt.energy.model import GraspEnergy
 from regrasp_opt.errors import PoseError
-from regrasp_opt.feasibility.standing import rest_problem, support_of
+from regrasp_opt.feasibility.standing import nearest_board, rest_problem, support_of
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.planning.problem_data import ProblemData
 from regrasp_opt.scene import Support, Workcell
@@ -45,7 +45,7 @@ def known_energy(energy: GraspEnergy, T: FloatArray, feasible: BoolArray) -> Flo
 def _check_workspace(T: FloatArray, name: str, model: ObjectModel, workcell: Workcell) -> None:
     vertices = model.vertices @ T[:3, :3].T + T[:3, 3]
     number = support_of(T, model, workcell)
-    support = workcell.supports[number or 0]
+    support = nearest_board(T, model, workcell) if number is None else workcell.supports[number]
     if isinstance(support, Support):
         center = support.seen(T[:3, :3] @ model.center_of_mass + T[:3, 3])[:2]
         low, high = support.workspace.array

@@ -131,12 +131,12 @@ class Rests(Sequence[Rest]):
         if not len(self):
             return None
         xi, error = self.nearest(T)
-        inside = ((xi >= self.planar.low - tolerance) & (xi <= self.planar.high + tolerance)).all(axis=1)
+        inside = np.all((xi >= self.planar.low - tolerance) & (xi <= self.planar.high + tolerance), axis=1)
         error[~inside & np.isfinite(self.planar.high[:, 2])] = np.inf  # a fixture holds it in one pose only
         close = np.flatnonzero(error <= tolerance)
         if not len(close):
             return None
-        number = int(close[np.lexsort((error[close], ~inside[close]))[0]])
+        number = min(close.tolist(), key=lambda k: (not inside[k], error[k]))
         return number, xi[number]
 
     def nearest(self, T: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -229,7 +229,7 @@ def _differences(what: str, before: Section, now: Section) -> list[str]:
             continue
         if key == "type":  # nothing else of the two can be compared
             return [f"{what} is a {new} instead of a {old}"]
-        if isinstance(old, Section) and not isinstance(old, Reference):
+        if isinstance(old, Section) and isinstance(new, Section) and not isinstance(old, Reference):
             texts += _differences(f"the {key} of {what}", old, new)
         elif None in (old, new) or isinstance(old, list):
             texts.append(f"the {key} of {what} is another")

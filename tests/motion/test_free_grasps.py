@@ -98,7 +98,7 @@ def test_a_chain_becomes_cheaper_within_its_steps(bottle_problem, kind):
     program = FreeGraspProgram(energy.model, 1, kind)
     ends = np.array([problem.pose(0, -0.2, 0.4), problem.pose(1, 0.2, 0.4)])
     grasps = problem.grasps.subset([3, 50])
-    placements, bounds = problem.placement_poses[[2]], problem.workcell.bounds.array
+    placements, bounds = problem.rests.planar[[2]], problem.workcell.bounds.array
     start = ChainSolve(np.array([[0.0, 0.3, 0.5]]), np.zeros((2, 6)), np.inf)
 
     def cost(solve):
@@ -108,7 +108,7 @@ def test_a_chain_becomes_cheaper_within_its_steps(bottle_problem, kind):
         pairs = [(poses[i + side], T[i], grasps.width[i]) for i in (0, 1) for side in (0, 1)]
         return sum(float(free(*pair)) for pair in pairs) + 0.1 * (solve.steps**2).sum()
 
-    found = program.solve(placements, ends, grasps.T_object_tcp, grasps.width, start, bounds)
+    found = program.solve(placements, ends, grasps.T_object_tcp, grasps.width, start)
     assert found.cost == pytest.approx(cost(found), rel=1e-6)
     assert found.cost < cost(start)
     assert np.abs(found.steps).max() <= 1 + 1e-6
@@ -149,7 +149,7 @@ def test_free_grasps_plan_where_ten_sampled_ones_cannot(thinned, tmp_path):
     np.testing.assert_array_equal(again.poses, plan.poses)
 
 
-def out_of_reach(self, placements, ends, T, width, start, bounds):
+def out_of_reach(self, placements, ends, T, width, start):
     return start._replace(xi=start.xi + 10.0, steps=np.zeros_like(start.steps))
 
 

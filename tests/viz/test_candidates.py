@@ -65,13 +65,13 @@ def test_candidates_that_did_not_become_the_plan_are_shown_too(plan):
 
 
 def test_trails_follow_the_candidates(trace):
-    surface, cost = candidates.trail(trace, 0.5)
+    surface, cost = candidates.trail(trace)
     frames, count, length = trace.xi.shape[:3]
     assert len(surface.faces) == 2 * (frames - 1) * count * length and len(cost) == len(surface.vertices)
     quads = surface.vertices.reshape(frames - 1, count * length, 4, 3)
     np.testing.assert_allclose(quads[:, :, :2].mean(axis=2)[..., :2], trace.xi[:-1, :, 0, :2], atol=1e-12)
     np.testing.assert_allclose(quads[:, :, 2:].mean(axis=2)[..., :2], trace.xi[1:, :, 0, :2], atol=1e-12)
-    assert (surface.vertices[:, 2] == 0.5 + candidates.LIFT).all()
+    assert (surface.vertices[:, 2] == candidates.LIFT).all()
     first = surface.faces[: 2 * count * length]
     assert first.max() < 4 * count * length
     np.testing.assert_array_equal(cost.reshape(frames - 1, -1, 4)[0, :, 0], trace.cost[0])
