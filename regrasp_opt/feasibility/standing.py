@@ -5,12 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from regrasp_opt.conventions import RESTING_TOLERANCE, BoolArray, FloatArray, invert
+from regrasp_opt.conventions import PLACEMENT_TOLERANCE, RESTING_TOLERANCE, BoolArray, FloatArray, invert
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.scene import Fixture, Support, Workcell
-
-HELD_TOLERANCE = 1e-4
-"""How far a pose may be from that in which a fixture holds the object, in every number [m or 1]."""
 
 
 def standing_problem(vertices: FloatArray, support: Support) -> str | None:
@@ -57,7 +54,7 @@ def support_of(T: FloatArray, body: ObjectModel, cell: Workcell) -> int | None:
     vertices = body.vertices @ T[:3, :3].T + T[:3, 3]
     for number, support in enumerate(cell.supports):
         if isinstance(support, Fixture):
-            held = support.holding(T, HELD_TOLERANCE)
+            held = support.holding(T, PLACEMENT_TOLERANCE)
             if held is not None and held.object in (None, body.name):
                 return number
         elif stands_on(vertices, support):

@@ -38,6 +38,10 @@ _SAMPLES = 32
 """Vertices of a shell that are looked at to see whether it lies in another."""
 
 
+_CONTACTS = 100_000
+"""Triangles of a mesh whose depth is measured at most."""
+
+
 class Shells(NamedTuple):
     """What is known of a mesh as a solid.
 
@@ -249,6 +253,21 @@ def distance(a: Solid, b: Solid, T_world_a: FloatArray, T_world_b: FloatArray) -
     found = float(coal.distance(a.geometry, transforms[0], b.geometry, transforms[1], request, result))
     touching = found <= 0 and (a.is_mesh or b.is_mesh)  # Coal ends at the first such triangle, however deep others are
     return min(found, overlap(a, b)) if touching or nested(a, b, invert(T_world_a) @ T_world_b) else found
+
+
+def separation(a: Solid, b: Solid, T_world_a: FloatArray, T_world_b: FloatArray) -> float:
+    """Return the distance of two bodies at poses (4, 4) [m]; where they overlap, less than minus their depth.
+
+    Of a mesh that touches a convex body it is minus the depth of the deepest triangle, and of two meshes what `overlap`
+    says: they can be apart, but not touch.
+    """
+    found = distance(a, b, T_world_a, T_world_b)
+    if found > 0 or a.is_mesh == b.is_mesh or nested(a, b, invert(T_world_a) @ T_world_b):
+        return found
+    request, result = coal.CollisionRequest(coal.CollisionRequestFlag.CONTACT, _CONTACTS), coal.CollisionResult()
+    transforms = [coal.Transform3s(T[:3, :3], T[:3, 3]) for T in (T_world_a, T_world_b)]
+    coal.collide(a.geometry, transforms[0], b.geometry, transforms[1], request, result)
+    return min((result.getContact(k).penetration_depth for k in range(result.numContacts())), default=found)
 
 
 class Containment:

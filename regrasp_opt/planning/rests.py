@@ -12,13 +12,13 @@ from regrasp_opt.conventions import FloatArray, IntArray, invert, planar_transfo
 from regrasp_opt.errors import PoseError, WorkcellError
 from regrasp_opt.geometry.planar_poses import PlanarPoses
 from regrasp_opt.geometry.shapes import shape_geometry
-from regrasp_opt.geometry.solids import Solid, distance
+from regrasp_opt.geometry.solids import Solid, separation
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.objects.rolling import LEAST_MARGIN
 from regrasp_opt.scene import Fixture, Support, Workcell
 
 NEST_OVERLAP = 1e-3
-"""Depth to which an object and the bodies of its fixture may overlap [m]: meshes of both are approximate."""
+"""Depth to which an object and the bodies of its fixture may overlap [m]; mesh bodies must stay clear of it."""
 
 
 class Rest(NamedTuple):
@@ -159,7 +159,7 @@ def check_fixtures(body: ObjectModel, cell: Workcell) -> None:
                 continue
             T = fixture.T_world_support @ pose.T_support_object
             for shape in fixture.shapes:
-                depth = -distance(body.solid, Solid(shape_geometry(shape)), T, shape.pose)
+                depth = -separation(body.solid, Solid(shape_geometry(shape)), T, shape.pose)
                 if depth > NEST_OVERLAP:
                     raise WorkcellError(
                         f"{cell.source}: '{body.name}' overlaps '{shape.name}' by {depth * 1e3:.1f} mm in pose "

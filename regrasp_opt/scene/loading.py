@@ -18,7 +18,7 @@ from regrasp_opt.errors import HomeCollisionError, MeshError, PoseError, Unknown
 from regrasp_opt.files import report_outside
 from regrasp_opt.geometry.mesh_files import LARGEST_MESH, read_triangles, unlikely_size
 from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh, Shape, shape_geometry
-from regrasp_opt.geometry.solids import Solid, distance, find_shells
+from regrasp_opt.geometry.solids import Solid, find_shells, separation
 from regrasp_opt.robots import Robot, load_robot
 from regrasp_opt.scene.arm import Arm
 from regrasp_opt.scene.collision_world import collision_at_home
@@ -280,7 +280,7 @@ def _check_supports(workcell: Workcell, path: Path) -> None:
     solids = [[(Solid(shape_geometry(s)), s.pose) for s in support.shapes] for support in workcell.supports]
     for j, other in enumerate(workcell.supports):
         for i in range(j):
-            if any(distance(a, b, T, U) < -OVERLAP for a, T in solids[i] for b, U in solids[j]):
+            if any(separation(a, b, T, U) < -OVERLAP for a, T in solids[i] for b, U in solids[j]):
                 raise WorkcellError(
                     f"{path}: key 'supports.{j}': '{other.name}' overlaps '{workcell.supports[i].name}'; move it away"
                 )

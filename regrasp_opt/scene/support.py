@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from regrasp_opt.conventions import FloatArray, invert, translation
+from regrasp_opt.conventions import FloatArray, invert, pose_distance, translation
 from regrasp_opt.geometry.shapes import Box, Shape
 
 MARGIN = 0.05
@@ -176,6 +176,6 @@ class Fixture:
         return self.T_world_support[:3, 2]
 
     def holding(self, T: FloatArray, tolerance: float) -> HeldPose | None:
-        """Return the pose that an object at `T` (4, 4) is held in, to `tolerance` in every number, or None."""
-        off = [float(np.abs(self.T_world_support @ pose.T_support_object - T).max()) for pose in self.poses]
+        """Return the pose that an object at `T` (4, 4) is held in, to `tolerance` [m and rad], or None."""
+        off = [max(map(float, pose_distance(self.T_world_support @ pose.T_support_object, T))) for pose in self.poses]
         return next((pose for pose, each in zip(self.poses, off, strict=True) if each <= tolerance), None)

@@ -9,7 +9,10 @@ import pytest
 from regrasp_opt.connectivity import CostOptions
 from regrasp_opt.conventions import rotation_rpy, translation
 from regrasp_opt.errors import PoseError, WorkcellError
+from regrasp_opt.geometry.shapes import shape_geometry
+from regrasp_opt.geometry.solids import Solid, separation
 from regrasp_opt.motion import plan_motion
+from regrasp_opt.motion.trajectory.collision_context import MotionScene
 from regrasp_opt.planning import RegraspPlan, RegraspProblem, solve_sequence
 from regrasp_opt.planning.pose_text import describe_pose, parse_pose
 from regrasp_opt.planning.tasks import random_graspable_pose, random_task
@@ -213,3 +216,19 @@ def test_a_nest_in_its_own_object_is_named(tmp_path):
     with pytest.raises(WorkcellError, match=r"cell.toml: 'bottle' overlaps 'nest back' by .* in pose 'leaning'"):
         RegraspProblem.load("bottle", tmp_path / "cell.toml")
     RegraspProblem.load("mug", tmp_path / "cell.toml")  # the pose is for another object
+
+
+def test_a_bottle_is_not_lifted_through_the_wall_of_its_nest(tmp_path):
+    """The object touches the floor of its nest at rest; how deep it is in the walls is measured all the same."""
+    text = CELL.replace("position = [0.0, 0.0, 0.0005], object", "position = [0.0, 0.0, -0.0004], object")
+    (tmp_path / "cell.toml").write_text(text, "utf-8")
+    problem = RegraspProblem.load("bottle", tmp_path / "cell.toml")
+    T, solid = problem.pose(0, support="nest"), problem.object.solid
+    floor, back = problem.workcell.supports[3].shapes
+    near = [separation(solid, Solid(shape_geometry(s)), T, s.pose) for s in (floor, back)]
+    assert near[0] == pytest.approx(-0.0004, abs=1e-6) and near[1] > 0.005
+    scene = MotionScene(problem)
+    height = scene._height_in(T, 3)
+    assert height == pytest.approx(-0.0004, abs=1e-6)
+    pushed = T @ translation(0.0, near[1] + 0.002, 0.005)
+    assert scene._height_in(pushed, 3) < height - 1e-3

@@ -17,7 +17,7 @@ import pinocchio as pin
 from scipy.spatial import ConvexHull
 
 from regrasp_opt.conventions import FloatArray, invert
-from regrasp_opt.geometry.solids import distance
+from regrasp_opt.geometry.solids import separation
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.scene import Fixture
 from regrasp_opt.scene.collision_model import CollisionModel
@@ -108,7 +108,7 @@ class MotionScene:
     def _height_in(self, T: FloatArray, on: int) -> float:
         """Return how far the object at `T` (4, 4) is from the bodies of the fixture of that number [m]."""
         world, body = self._held.world, self._problem.object.solid
-        near = [distance(body, world.solids[i], T, world.bodies[i].pose) for i in world.by_support[on]]
+        near = [separation(body, world.solids[i], T, world.bodies[i].pose) for i in world.by_support[on]]
         return min(near, default=np.inf)
 
     def _in_hand(self, grasp_id: int) -> _Arrangement:
