@@ -281,6 +281,9 @@ def motion(
     scene: Annotated[Path | None, typer.Option(help="Folder to write the scene to, as URDF.")] = None,
     velocity: Annotated[float, typer.Option(help="Fraction of the joints' velocity limits to use, 0.001 to 1.")] = 1.0,
     acceleration: Annotated[float, typer.Option(help="Largest joint acceleration \\[rad/s^2], 0.001 to 1000.")] = 5.0,
+    jerk: Annotated[float | None, typer.Option(help="Largest joint jerk \\[rad/s^3], 0.1 to 100,000.")] = None,
+    squeeze: Annotated[float, typer.Option(help="How far below contact the jaw is told to close \\[m].")] = 0.002,
+    force: Annotated[float | None, typer.Option(help="Force with which the jaw is told to close \\[N].")] = None,
     no_home: Annotated[bool, typer.Option("--no-home", help="Do not begin and end at the robot's home.")] = False,
     seed: SeedOption = 0,
     json: Annotated[bool, typer.Option("--json", help="Print a summary as one JSON object.")] = False,
@@ -295,7 +298,9 @@ def motion(
     from regrasp_opt.motion import MotionOptions
 
     home = None if no_home else "robot"
-    options = MotionOptions(home=home, velocity=velocity, acceleration=acceleration, seed=seed)
+    options = MotionOptions(
+        home=home, velocity=velocity, acceleration=acceleration, jerk=jerk, squeeze=squeeze, force=force, seed=seed
+    )
     return run_motion(plan, options, out=out, csv=csv, step=step, scene=scene, as_json=json)
 
 

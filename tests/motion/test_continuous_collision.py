@@ -6,7 +6,7 @@ import pytest
 from regrasp_opt.motion.trajectory.collision_context import LEVELS, CollisionContext, MotionScene
 from regrasp_opt.motion.trajectory.continuous_collision import _spread, verify
 from regrasp_opt.motion.trajectory.time_parameterization import rest_to_rest
-from regrasp_opt.motion.trajectory.trajectory import Trajectory
+from regrasp_opt.motion.trajectory.trajectory import MotionLimits, Trajectory
 
 
 def point_setting(obstacles, radius=0.0):
@@ -19,7 +19,7 @@ def point_setting(obstacles, radius=0.0):
 
 
 def rail(a, b):
-    return rest_to_rest(np.array([a]), np.array([b]), np.ones(1), np.ones(1))
+    return rest_to_rest(np.array([a]), np.array([b]), MotionLimits(np.ones(1), np.ones(1), np.full(1, np.inf)))
 
 
 def count_tests(setting, way):

@@ -43,7 +43,7 @@ def broken(content, change):
 
 
 FAULTS = {
-    "schema": lambda c: c.update(schema=2),
+    "schema": lambda c: c.update(schema=3),
     "not a motion": lambda c: c.update(kind="plan"),
     "key 'status': should be one of solved": lambda c: c.update(status="done"),
     "key 'segments.0.phase': should be one of reach": lambda c: c["segments"][0].update(phase="dance"),

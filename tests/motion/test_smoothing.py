@@ -12,9 +12,11 @@ from regrasp_opt.motion.trajectory import planner
 from regrasp_opt.motion.trajectory import smoothing as runs_module
 from regrasp_opt.motion.trajectory.connector import Connector
 from regrasp_opt.motion.trajectory.smoothing_program import STEPS, Crossing, Line, fastest_run
-from regrasp_opt.motion.trajectory.time_parameterization import rest_to_rest
+from regrasp_opt.motion.trajectory.time_parameterization import rest_to_rest, smoothed
+from regrasp_opt.motion.trajectory.trajectory import MotionLimits
 
 VELOCITY, ACCELERATION = np.array([2.0, 1.0]), np.array([5.0, 4.0])
+LIMITS = MotionLimits(VELOCITY, ACCELERATION, np.full(2, np.inf))
 START, END = np.array([0.2, -0.4]), np.array([1.4, 0.3])
 
 
@@ -37,8 +39,9 @@ def straight_line(start, end):
 def test_from_rest_to_rest_it_is_as_fast_as_limits_allow():
     """The slowest joint speeds up, cruises, slows down; the knots cannot switch exactly when that would be best."""
     (found,) = fastest_run(None, crossing(START, END), None, VELOCITY, ACCELERATION)
-    found = found.within(VELOCITY, ACCELERATION)
-    alone = [rest_to_rest(*(x[j : j + 1] for x in (START, END, VELOCITY, ACCELERATION))).duration for j in range(2)]
+    (found,) = smoothed([found], LIMITS)
+    one = [MotionLimits(*(x[j : j + 1] for x in LIMITS)) for j in range(2)]
+    alone = [rest_to_rest(START[j : j + 1], END[j : j + 1], one[j]).duration for j in range(2)]
     assert max(alone) <= found.duration < 1.05 * max(alone)
     assert np.allclose(found.positions[[0, -1]], [START, END], atol=1e-9)
 
@@ -55,9 +58,7 @@ def test_lines_are_followed_without_a_stop():
     for part in parts:
         assert (part.peak_velocity() <= 1.02 * VELOCITY).all()
         assert (part.peak_acceleration() <= 1.02 * ACCELERATION).all()
-    legs = [
-        rest_to_rest(a, b, VELOCITY, ACCELERATION).duration for a, b in ((START, corner), (corner, other), (other, END))
-    ]
+    legs = [rest_to_rest(a, b, LIMITS).duration for a, b in ((START, corner), (corner, other), (other, END))]
     assert sum(part.duration for part in parts) < 0.9 * sum(legs)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from regrasp_opt.motion.trajectory.time_parameterization import rest_to_rest
-from regrasp_opt.motion.trajectory.trajectory import Trajectory, joined
+from regrasp_opt.motion.trajectory.trajectory import MotionLimits, Trajectory, joined
 
 
 def random_trajectory(rng, knots=6, dof=3):
@@ -56,12 +56,15 @@ def test_slowing_keeps_the_path_and_divides_speeds_and_accelerations():
     assert np.allclose(slow.peak_acceleration(), path.peak_acceleration() / 4)
 
 
-@pytest.mark.parametrize(("velocity", "acceleration"), [(0.1, 100.0), (100.0, 0.1), (1e3, 1e3)])
-def test_within_reaches_the_tighter_limit_and_no_more(velocity, acceleration):
+@pytest.mark.parametrize(
+    ("velocity", "acceleration", "jerk"), [(0.1, 1e2, 1e3), (1e2, 0.1, 1e3), (1e2, 1e2, 0.1), (1e3, 1e3, 1e4)]
+)
+def test_within_reaches_the_tighter_limit_and_no_more(velocity, acceleration, jerk):
     path = random_trajectory(np.random.default_rng(3))
-    limits = np.full(3, velocity), np.full(3, acceleration)
-    inside = path.within(*limits)
-    shares = (inside.peak_velocity() / limits[0]).max(), (inside.peak_acceleration() / limits[1]).max()
+    limits = MotionLimits(np.full(3, velocity), np.full(3, acceleration), np.full(3, jerk))
+    inside = path.within(limits)
+    peaks = inside.peak_velocity(), inside.peak_acceleration(), inside.peak_jerk()
+    shares = [(peak / limit).max() for peak, limit in zip(peaks, limits, strict=True)]
     assert max(shares) <= 1.0
     assert max(shares) > 0.999 or inside is path
 
@@ -75,7 +78,7 @@ def test_reversing_takes_the_path_backwards():
 
 def test_joined_parts_follow_each_other():
     first, second = (
-        rest_to_rest(np.array(a), np.array(b), np.ones(2), np.ones(2))
+        rest_to_rest(np.array(a), np.array(b), MotionLimits(np.ones(2), np.ones(2), np.full(2, np.inf)))
         for a, b in ([(0, 0), (1, 2.0)], [(1, 2.0), (0, 5)])
     )
     both = joined([first, second])

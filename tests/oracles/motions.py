@@ -31,6 +31,8 @@ JAW_CONTACT = 2e-3
 """Opening beyond the grasp's width from which on the fingers must be clear of the object [m]."""
 BETWEEN = 0.5
 """Share of each clearance that is kept between the times at which it was tested (docs/motion.md)."""
+JUMP = 0.01
+"""Largest jump of an acceleration, as a share of its limit."""
 FAR = 0.02
 """Distances of meshes that are not convex are measured up to this [m]."""
 
@@ -42,13 +44,18 @@ AFTER = "release", "retreat", "return"
 
 @dataclass(frozen=True)
 class MotionFindings:
-    """What was found: problems, samples at which bodies were too near, and the largest shares of the limits."""
+    """What was found: problems, samples at which bodies were too near, and the largest shares of the limits.
+
+    `jump` is the largest jump of an acceleration at a knot, at a rest or between segments, as a share of its limit.
+    """
 
     problems: list[str]
-    collisions: int
-    samples: int
-    velocity: float
-    acceleration: float
+    collisions: int = 0
+    samples: int = 0
+    velocity: float = 0.0
+    acceleration: float = 0.0
+    jerk: float = 0.0
+    jump: float = 0.0
 
 
 class MotionVerifier:
@@ -63,22 +70,27 @@ class MotionVerifier:
         """Return what was found out about a solved motion; its plan is another matter (`PlanVerifier.problems`)."""
         segments = content["segments"]
         if content["status"] != "solved" or not segments:
-            return MotionFindings([f"the motion's status is {content['status']}"], 0, 0, 0.0, 0.0)
+            return MotionFindings([f"the motion's status is {content['status']}"])
         if content["joint_names"] != self.cell.robot.joints:
-            return MotionFindings(["the motion is one of other joints"], 0, 0, 0.0, 0.0)
+            return MotionFindings(["the motion is one of other joints"])
         curves = [_Curve(segment) for segment in segments]
         problems = self._sequence(content, segments, curves)
+        jump = largest_jump(content)
+        if content["schema"] > 1:
+            problems += _jaw_problems(content, segments, curves)
+            problems += [f"an acceleration jumps by {jump:.4f} of its limit"] if jump > JUMP else []
         collisions = samples = 0
-        velocity = acceleration = 0.0
+        velocity = acceleration = jerk = 0.0
         for segment, curve in zip(segments, curves, strict=True):
             named, shares = self._limits(content, curve)
             grasp = content["plan"]["grasps"][segment["grasp_id"]]
             found, hit, count = self._collisions(content, segment, curve, grasp, step, turn)
             named += found
             velocity, acceleration = max(velocity, shares[0]), max(acceleration, shares[1])
+            jerk = max(jerk, *shares[2:], 0.0)
             collisions, samples = collisions + hit, samples + count
             problems += [f"transition {segment['transition']}, {segment['phase']}: {text}" for text in named]
-        return MotionFindings(problems, collisions, samples, velocity, acceleration)
+        return MotionFindings(problems, collisions, samples, velocity, acceleration, jerk, jump)
 
     def _sequence(self, content, segments, curves):
         """Return what is wrong with the order of phases, and with what must be equal at their ends."""
@@ -151,7 +163,10 @@ class MotionVerifier:
         if (q < robot.limits[:, 0] - LIMIT).any() or (q > robot.limits[:, 1] + LIMIT).any():
             wrong.append("a joint leaves its limits")
         speeds = np.minimum(content["velocity_limits"], robot.speeds)
-        for name, values, limit in (("velocity", v, speeds), ("acceleration", a, content["acceleration_limits"])):
+        limited = [("velocity", v, speeds), ("acceleration", a, content["acceleration_limits"])]
+        if content.get("jerk_limits"):
+            limited.append(("jerk", curve.at(t, 3), content["jerk_limits"]))
+        for name, values, limit in limited:
             shares.append(float((np.abs(values) / limit).max()))
             if shares[-1] > 1 + 1e-6:
                 wrong.append(f"the {name} is {shares[-1]:.4f} of its limit")
@@ -273,6 +288,36 @@ class MotionVerifier:
         return deep
 
 
+def largest_jump(content):
+    """Return the largest jump of an acceleration in a motion that begins and ends at rest, as a share of its limit."""
+    curves, limits = map(_Curve, content["segments"]), np.array(content["acceleration_limits"])
+    rest = np.zeros((1, len(limits)))
+    first, last = zip(*(curve.end_accelerations() for curve in curves), strict=True)
+    jumps = np.concatenate([*first, rest]) - np.concatenate([rest, *last])
+    return float((np.abs(jumps) / limits).max())
+
+
+def _jaw_problems(content, segments, curves):
+    """Return where the commands to the jaw are not those that the segments need."""
+    squeeze, began, wrong = content["squeeze"], 0.0, []
+    needed = [(0.0, 0.0, *[segments[0]["jaw"][0]] * 3, None, False)]
+    for s, curve in zip(segments, curves, strict=True):
+        first, last = s["jaw"]
+        command = max(0.0, last - squeeze["below_contact"]) if s["phase"] == "grasp" else last
+        force = squeeze["force"] if s["phase"] == "grasp" else None
+        if s["phase"] in STILL or first != last:
+            needed.append((began, curve.duration, first, last, command, force, s["phase"] == "grasp"))
+        began += curve.duration
+    keys = "time", "duration", "width_from", "width_to", "command", "force", "holds"
+    told = [tuple(event[key] for key in keys) for event in content["jaw_events"]]
+    if len(told) != len(needed):
+        return [f"the jaw is told {len(told)} things, not {len(needed)}"]
+    for n, (event, right) in enumerate(zip(told, needed, strict=True)):
+        if event[5:] != right[5:] or np.abs(np.subtract(event[:5], right[:5])).max() > CONTINUITY:
+            wrong.append(f"jaw event {n} is {event}, not {right}")
+    return wrong
+
+
 class _Curve:
     """The joints and the jaw of a segment over time."""
 
@@ -289,6 +334,11 @@ class _Curve:
 
     def dense(self):
         return np.unique(np.concatenate([np.linspace(a, b, 11) for a, b in pairwise(self.times)]))
+
+    def end_accelerations(self):
+        """Return accelerations at the beginning and at the end of each piece, two arrays (pieces, dof)."""
+        cubic, square = self._spline.c[:2]
+        return 2 * square, 2 * square + 6 * cubic * np.diff(self.times)[:, None]
 
     def jaw(self, t):
         return np.interp(t, [0.0, self.duration], self._jaw)

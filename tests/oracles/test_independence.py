@@ -7,7 +7,11 @@ ALLOWED = {"regrasp_opt.objects"}
 
 
 def test_the_verifiers_import_none_of_what_they_verify():
-    modules = [path for path in Path(__file__).parent.glob("*.py") if not path.name.startswith(("test_", "campaign"))]
+    modules = [
+        path
+        for path in Path(__file__).parent.glob("*.py")
+        if not path.name.startswith(("test_", "campaign", "accelerations"))
+    ]
     assert len(modules) >= 6
     for path in modules:
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):

@@ -20,7 +20,7 @@ from regrasp_opt.motion.trajectory.time_parameterization import (
     rounded,
     through,
 )
-from regrasp_opt.motion.trajectory.trajectory import Trajectory, joined
+from regrasp_opt.motion.trajectory.trajectory import MotionLimits, Trajectory, joined
 from regrasp_opt.robots import Robot
 
 ROUNDING = (0.4, 0.15, 0.05)
@@ -34,14 +34,13 @@ class Connector:
     Attributes
     ----------
     robot : Robot
-    velocity, acceleration : (dof,) arrays
+    limits : MotionLimits
     distances : tuple of float
         Lengths of straight lines of the tool that are tried, in that order [m].
     """
 
     robot: Robot
-    velocity: FloatArray
-    acceleration: FloatArray
+    limits: MotionLimits
     distances: tuple[float, ...]
 
     def away(self, context: CollisionContext, q: FloatArray, directions: FloatArray) -> Trajectory | None:
@@ -50,14 +49,14 @@ class Connector:
             waypoints = line(self.robot, q, direction, length)
             if waypoints is None:
                 continue
-            trajectory = fastest(through(waypoints), self.velocity, self.acceleration, LINE_GRID)
+            trajectory = fastest(through(waypoints), self.limits, LINE_GRID)
             if self.accepted(context, trajectory):
                 return trajectory
         return None
 
     def straight(self, context: CollisionContext, start: FloatArray, goal: FloatArray) -> Trajectory | None:
         """Return the straight motion in joint space between configurations (dof,), if it is verified."""
-        trajectory = rest_to_rest(start, goal, self.velocity, self.acceleration)
+        trajectory = rest_to_rest(start, goal, self.limits)
         return trajectory if self.accepted(context, trajectory) else None
 
     def around(
@@ -69,10 +68,10 @@ class Connector:
         if corners is None:
             return None
         for spacing in ROUNDING:
-            trajectory = fastest(rounded(corners, spacing), self.velocity, self.acceleration, PATH_GRID)
+            trajectory = fastest(rounded(corners, spacing), self.limits, PATH_GRID)
             if self.accepted(context, trajectory):
                 return trajectory
-        legs = [rest_to_rest(a, b, self.velocity, self.acceleration) for a, b in itertools.pairwise(corners)]
+        legs = [rest_to_rest(a, b, self.limits) for a, b in itertools.pairwise(corners)]
         trajectory = joined(legs)
         return trajectory if self.accepted(context, trajectory) else None
 

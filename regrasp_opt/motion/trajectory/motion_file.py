@@ -13,7 +13,9 @@ from regrasp_opt.errors import PlanFileError
 from regrasp_opt.motion.motion_data import MotionStatus, Phase
 from regrasp_opt.schemas import Section, read_json, validated
 
-SCHEMA = 1
+SCHEMA = 2
+"""Version of what is written; those of version 1 know neither jerk limits nor commands to the jaw."""
+
 LONGEST, FASTEST, WIDEST = 1e5, 1e4, 2.0
 """What a motion file may hold: seconds of a segment, joint positions and speeds, and openings of the jaw [m].
 
@@ -58,16 +60,38 @@ class SegmentSection(Section):
         return self
 
 
+class SqueezeSection(Section):
+    """How the jaw is told to hold."""
+
+    below_contact: Opening = 0.0
+    force: Annotated[float, Field(gt=0)] | None = None
+
+
+class JawEventSection(Section):
+    """One command to the jaw."""
+
+    time: float
+    duration: float
+    width_from: float
+    width_to: float
+    command: float
+    force: float | None
+    holds: bool
+
+
 class MotionFile(Section):
     """The whole file."""
 
-    schema_: Literal[1] = Field(alias="schema")
+    schema_: Literal[1, 2] = Field(alias="schema")
     kind: Literal["motion"]
     status: Annotated[MotionStatus, _member_of(MotionStatus)]
     reason: str
     joint_names: list[str]
     velocity_limits: Limits
     acceleration_limits: Limits
+    jerk_limits: Limits | None = None
+    squeeze: SqueezeSection = Field(default_factory=SqueezeSection)
+    jaw_events: list[JawEventSection] | None = None
     seconds: Annotated[float, Field(ge=0)]
     segments: list[SegmentSection]
     plan: dict[str, Any]
@@ -76,8 +100,11 @@ class MotionFile(Section):
     def _is_whole(self) -> MotionFile:
         if bool(self.segments) != (self.status is MotionStatus.SOLVED):
             raise ValueError("a motion has segments if it is solved, and only then; plan the motion again")
+        if self.schema_ == SCHEMA and self.jaw_events is None:
+            raise ValueError("there are no jaw events; plan the motion again")
         rows = [row for segment in self.segments for row in (*segment.positions, *segment.velocities)]
-        if {len(row) for row in (self.velocity_limits, self.acceleration_limits, *rows)} != {len(self.joint_names)}:
+        limits = (self.velocity_limits, self.acceleration_limits, self.jerk_limits or self.velocity_limits)
+        if {len(row) for row in (*limits, *rows)} != {len(self.joint_names)}:
             raise ValueError("a row has not as many numbers as there are joints; plan the motion again")
         return self
 
@@ -91,6 +118,6 @@ def read_motion(path: Path) -> MotionFile:
         If it is missing or malformed.
     """
     raw = read_json(path, "motion")
-    if not isinstance(raw, dict) or (raw.get("schema"), raw.get("kind")) != (SCHEMA, "motion"):
-        raise PlanFileError(f"'{path}' is not a motion of schema {SCHEMA}; write one with 'regrasp-opt motion'")
+    if not isinstance(raw, dict) or raw.get("schema") not in (1, SCHEMA) or raw.get("kind") != "motion":
+        raise PlanFileError(f"'{path}' is not a motion of schema 1 or {SCHEMA}; write one with 'regrasp-opt motion'")
     return validated(raw, MotionFile, f"'{path}'", PlanFileError)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from regrasp_opt.conventions import FloatArray
 from regrasp_opt.errors import OptionError, PlanFileError
 from regrasp_opt.files import atomic_path
 from regrasp_opt.motion.motion_data import MotionStatus, Segment
+from regrasp_opt.motion.trajectory.jaw_events import JawEvent, Squeeze, jaw_events
 from regrasp_opt.motion.trajectory.motion_file import SCHEMA, read_motion
 from regrasp_opt.motion.trajectory.scene_export import save_scene
 from regrasp_opt.motion.trajectory.trajectory import Trajectory
@@ -43,6 +44,10 @@ class MotionPlan:
         What the motion was planned for [rad/s, rad/s^2].
     seconds : float
         How long planning the motion took.
+    jerk_limits : (dof,) float64 or None
+        Same as those above, where they were given [rad/s^3].
+    squeeze : Squeeze
+        How the jaw is told to hold the object.
     """
 
     status: MotionStatus
@@ -52,6 +57,8 @@ class MotionPlan:
     velocity_limits: FloatArray
     acceleration_limits: FloatArray
     seconds: float
+    jerk_limits: FloatArray | None = None
+    squeeze: Squeeze = field(default_factory=Squeeze)
 
     @property
     def solved(self) -> bool:
@@ -68,6 +75,11 @@ class MotionPlan:
         """When each segment begins (S,) [s]."""
         durations = [segment.trajectory.duration for segment in self.segments]
         return np.cumsum([0.0, *durations])[: len(durations)]
+
+    @property
+    def jaw_events(self) -> tuple[JawEvent, ...]:
+        """What the jaw is told, in order; the first event says how it must stand as the motion begins."""
+        return jaw_events(self.segments, self.squeeze)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the motion with its plan to `path` as JSON, atomically (docs/motion.md)."""
@@ -97,14 +109,29 @@ class MotionPlan:
                 raise PlanFileError(f"'{path}': a segment names an unknown transition or grasp; plan the motion again")
             trajectory = Trajectory(np.array(s.times), np.array(s.positions), np.array(s.velocities))
             segments.append(Segment(s.phase, s.transition, s.grasp_id, trajectory, s.jaw))
-        limits = np.array(content.velocity_limits), np.array(content.acceleration_limits)
-        return MotionPlan(content.status, content.reason, plan, tuple(segments), *limits, content.seconds)
+        motion = MotionPlan(
+            content.status,
+            content.reason,
+            plan,
+            tuple(segments),
+            np.array(content.velocity_limits),
+            np.array(content.acceleration_limits),
+            content.seconds,
+            None if content.jerk_limits is None else np.array(content.jerk_limits),
+            Squeeze(content.squeeze.below_contact, content.squeeze.force),
+        )
+        events = None if content.jaw_events is None else [event.model_dump() for event in content.jaw_events]
+        if events not in (None, [asdict(event) for event in motion.jaw_events]):
+            raise PlanFileError(f"'{path}': its jaw events are not those of its segments; plan the motion again")
+        return motion
 
     def save_csv(self, path: str | os.PathLike[str], step: float = 0.01) -> None:
-        """Write positions and velocities of all joints at every `step` seconds to `path` as CSV, atomically.
+        """Write the motion of joints and jaw at every `step` seconds to `path` as CSV, atomically.
 
-        Columns are ``time`` [s], ``phase``, ``jaw`` [m], the joints' positions under their names and their velocities
-        under ``NAME_velocity``; the last row is the end. The jaw moves evenly over a segment.
+        Columns are ``time`` [s], ``phase``, ``jaw`` [m], the joints' positions under their names, their velocities and
+        accelerations under ``NAME_velocity`` and ``NAME_acceleration``, then what the jaw is told: ``jaw_command`` [m],
+        ``jaw_force`` [N], empty without one, and ``holds``, 1 from the command to close to that to open. The last row
+        is the end. The jaw moves evenly over a segment.
 
         Raises
         ------
@@ -121,22 +148,30 @@ class MotionPlan:
         names = self.plan.problem.workcell.arm.robot.joint_names
         times = np.append(np.arange(0.0, self.duration - step / 2, step), self.duration)
         numbers = np.searchsorted(self.starts, times, side="right") - 1
+        columns = [f"{name}{what}" for what in ("", "_velocity", "_acceleration") for name in names]
+        events = self.jaw_events
+        told = np.searchsorted([event.time for event in events], times, side="right") - 1
         with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
-            writer.writerow(["time", "phase", "jaw", *names, *(f"{name}_velocity" for name in names)])
+            writer.writerow(["time", "phase", "jaw", *columns, "jaw_command", "jaw_force", "holds"])
             for number, (segment, start) in enumerate(zip(self.segments, self.starts, strict=True)):
                 trajectory = segment.trajectory
-                t = times[numbers == number]
+                t, mine = times[numbers == number], told[numbers == number]
                 local = np.clip(t - start, 0.0, trajectory.duration)
                 jaw = np.interp(local, [0.0, trajectory.duration], segment.jaw)
-                states = np.column_stack([jaw, trajectory.at(local), trajectory.velocity_at(local)])
-                for moment, state in zip(t.tolist(), states.tolist(), strict=True):
-                    row = [f"{x:.9g}" for x in (moment, *state)]
-                    writer.writerow([row[0], segment.phase.name.lower(), *row[1:]])
+                arm = trajectory.at(local), trajectory.velocity_at(local), trajectory.acceleration_at(local)
+                for event, state in zip(mine, np.column_stack([t, jaw, *arm]).tolist(), strict=True):
+                    moment, *row = [f"{x:.9g}" for x in state]
+                    writer.writerow([moment, segment.phase.name.lower(), *row, *_told(events[event])])
 
     def save_scene(self, folder: str | os.PathLike[str]) -> None:
         """Write robot, gripper, table, obstacles and object as URDF, and where they stand, into `folder`."""
         save_scene(self.plan, folder)
+
+
+def _told(event: JawEvent) -> tuple[str, str, int]:
+    """Return what a row of a CSV says of the last command to the jaw."""
+    return f"{event.command:.9g}", "" if event.force is None else f"{event.force:.9g}", int(event.holds)
 
 
 def check_step(step: float) -> None:
@@ -155,6 +190,9 @@ def motion_content(motion: MotionPlan) -> dict[str, Any]:
         "joint_names": list(motion.plan.problem.workcell.arm.robot.joint_names),
         "velocity_limits": motion.velocity_limits.tolist(),
         "acceleration_limits": motion.acceleration_limits.tolist(),
+        "jerk_limits": None if motion.jerk_limits is None else motion.jerk_limits.tolist(),
+        "squeeze": asdict(motion.squeeze),
+        "jaw_events": [asdict(event) for event in motion.jaw_events],
         "seconds": motion.seconds,
         "segments": [
             {

@@ -59,11 +59,15 @@ def plan_motion(plan: RegraspPlan, options: MotionOptions | None = None) -> Moti
     options = options or MotionOptions()
     began = time.perf_counter()
     robot = plan.problem.workcell.arm.robot
-    connector, home = Connector(robot, *options.limits(robot), options.distances), options.home_of(robot)
+    connector, home = Connector(robot, options.limits(robot), options.distances), options.home_of(robot)
     with one_blas_thread():
         status, reason, segments = _plan(plan, options, connector, home)
-    limits = connector.velocity, connector.acceleration
-    return MotionPlan(status, reason, plan, tuple(segments), *limits, time.perf_counter() - began)
+    squeeze, limits = options.squeeze_of(plan.problem.workcell.arm.end_effector), connector.limits
+    jerk = None if options.jerk is None else limits.jerk
+    seconds = time.perf_counter() - began
+    return MotionPlan(
+        status, reason, plan, tuple(segments), limits.velocity, limits.acceleration, seconds, jerk, squeeze
+    )
 
 
 def plan_with_motion(
@@ -206,7 +210,7 @@ class _Transition:
             turns = robot.nearest_equivalent(ends, ends + np.mean(ways or [np.zeros(robot.dof)], axis=0)) - ends
             ends = ends + turns[np.abs(turns).argmin(axis=0), np.arange(robot.dof)]  # what both ends have room for
             moves = [end - q for end, q in zip((start, homeward), ends, strict=True) if end is not None]
-            times = [(np.abs(move) / tools.connector.velocity).max() for move in (ends[1] - ends[0], *moves)]
+            times = [(np.abs(move) / tools.connector.limits.velocity).max() for move in (ends[1] - ends[0], *moves)]
             cost = float(sum(times))  # at full speed [s]
             found.append((cost, Grasped(grasped.grasp_id, *ends)))
         return [grasped for _, grasped in sorted(found, key=lambda each: each[0])][: self._options.candidates]

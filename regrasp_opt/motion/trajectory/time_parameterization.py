@@ -12,6 +12,7 @@ it gives are joined by cubics, and the whole is slowed down by what these still 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.interpolate import BSpline, CubicSpline
@@ -19,13 +20,22 @@ from scipy.optimize import linprog
 from scipy.sparse import csr_array
 
 from regrasp_opt.conventions import FloatArray
-from regrasp_opt.motion.trajectory.trajectory import Trajectory
+from regrasp_opt.motion.trajectory.trajectory import MotionLimits, Trajectory, joined
 
 LINE_GRID = 24
 """Intervals of the timing grid along a straight line of the tool."""
 
 PATH_GRID = 40
 """Intervals of the timing grid along a path with corners."""
+
+PIECES = 100, 70, 50, 35, 25, 17, 12
+"""Cubics of a run with continuous accelerations; the fewer, the less jerk and the later it ends."""
+
+SHORTEST = 1e-3
+"""Least time of such a cubic [s]."""
+
+CUT = 0.01
+"""Least share of a cubic that is cut off where a run is cut into its parts."""
 
 
 def through(waypoints: FloatArray) -> CubicSpline:
@@ -50,12 +60,42 @@ def rounded(corners: FloatArray, spacing: float) -> BSpline:
     return BSpline(knots, control, 3)
 
 
-def rest_to_rest(start: FloatArray, end: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> Trajectory:
+def smoothed(parts: Sequence[Trajectory], limits: MotionLimits) -> list[Trajectory]:
+    """Return a run from rest to rest, of `parts` whose accelerations may jump, with continuous ones within `limits`.
+
+    Each part begins where the one before it ends, and as fast.
+    """
+    rough = joined(list(parts))
+    marks = np.cumsum([part.duration for part in parts])[:-1]
+    found = list[tuple[Trajectory, FloatArray]]()
+    for pieces in PIECES:
+        step = max(rough.duration / pieces, SHORTEST)
+        spline = _spline_along(rough, step)
+        slow = spline.within(limits)
+        places = marks / step + 1
+        whole = np.floor(places)
+        places = whole + np.clip(places - whole, CUT, 1 - CUT)
+        found.append((slow, places * step * (slow.duration / spline.duration)))
+    best, cuts = min(found, key=lambda each: each[0].duration)
+    return best.split(cuts)
+
+
+def _spline_along(rough: Trajectory, step: float) -> Trajectory:
+    """Return the uniform cubic B-spline whose control points `rough` passes every `step` seconds."""
+    count = int(np.ceil(rough.duration / step - 1e-9))
+    c = rough.at(step * np.arange(-2, count + 3))
+    c[:3], c[-3:] = rough.positions[0], rough.positions[-1]  # exactly, so that it rests at both ends
+    positions: FloatArray = (c[:-2] + 4 * c[1:-1] + c[2:]) / 6
+    positions[[0, -1]] = rough.positions[[0, -1]]
+    return Trajectory(step * np.arange(count + 3.0), positions, (c[2:] - c[:-2]) / (2 * step))
+
+
+def rest_to_rest(start: FloatArray, end: FloatArray, limits: MotionLimits) -> Trajectory:
     """Return the fastest straight motion between two configurations (dof,): speed up, cruise, slow down."""
     change = end - start
     size = np.abs(change)
-    cruise = float((velocity / np.maximum(size, 1e-12)).min())  # path speed and acceleration limits [1/s, 1/s^2]
-    rise = float((acceleration / np.maximum(size, 1e-12)).min())
+    cruise = float((limits.velocity / np.maximum(size, 1e-12)).min())  # of the path [1/s, 1/s^2]
+    rise = float((limits.acceleration / np.maximum(size, 1e-12)).min())
     ramp = min(cruise / rise, 1 / np.sqrt(rise))
     speed = rise * ramp
     middle = max(0.0, (1 - ramp * speed) / speed)
@@ -65,20 +105,17 @@ def rest_to_rest(start: FloatArray, end: FloatArray, velocity: FloatArray, accel
     speeds = np.array([0.0, speed, speed, 0.0])[keep, None]
     positions = start + part[keep, None] * change
     positions[-1] = end
-    return Trajectory(times[keep], positions, speeds * change).within(velocity, acceleration)
+    return smoothed([Trajectory(times[keep], positions, speeds * change)], limits)[0]
 
 
-def fastest(path: BSpline | CubicSpline, velocity: FloatArray, acceleration: FloatArray, grid: int) -> Trajectory:
-    """Return the fastest motion from rest to rest along `path` over s in [0, 1], within limits (dof,).
-
-    It has `grid` + 1 knots, evenly spaced over s.
-    """
+def fastest(path: BSpline | CubicSpline, limits: MotionLimits, grid: int) -> Trajectory:
+    """Return the fastest motion from rest to rest along `path` over s in [0, 1], timed on a `grid` of it."""
     s = np.linspace(0.0, 1.0, grid + 1)
     first, second = path(s, 1), path(s, 2)
-    x = _path_speeds(first, second, velocity, acceleration)
+    x = _path_speeds(first, second, limits.velocity, limits.acceleration)
     root = np.sqrt(x)
     times = np.concatenate([[0.0], np.cumsum(2 / grid / (root[1:] + root[:-1]))])
-    return Trajectory(times, path(s), first * root[:, None]).within(velocity, acceleration)
+    return smoothed([Trajectory(times, path(s), first * root[:, None])], limits)[0]
 
 
 def _path_speeds(first: FloatArray, second: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:

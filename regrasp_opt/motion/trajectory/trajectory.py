@@ -1,9 +1,11 @@
-"""Joint trajectories: cubic Hermite pieces between knots, whose speeds and accelerations have closed-form extremes."""
+"""Joint trajectories: cubic Hermite pieces between knots, whose derivatives have closed-form extremes."""
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,9 +14,19 @@ from scipy.interpolate import CubicHermiteSpline
 from regrasp_opt.conventions import FloatArray
 
 
+class MotionLimits(NamedTuple):
+    """The largest speeds, accelerations and jerks (dof,) [rad/s, rad/s^2, rad/s^3]; prismatic joints: metres."""
+
+    velocity: FloatArray
+    acceleration: FloatArray
+    jerk: FloatArray
+
+
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """A continuously differentiable motion of all joints, M knots joined by cubics.
+
+    Those of a solved motion are cubic splines: their accelerations are continuous, too.
 
     Attributes
     ----------
@@ -51,6 +63,11 @@ class Trajectory:
         velocities: FloatArray = self._spline(np.clip(t, 0.0, self.duration), 1)
         return velocities
 
+    def acceleration_at(self, t: ArrayLike) -> FloatArray:
+        """Return the accelerations (..., dof) at times `t` (...) [s]; where they jump, those after the jump."""
+        accelerations: FloatArray = self._spline(np.clip(t, 0.0, self.duration), 2)
+        return accelerations
+
     @cached_property
     def _spline(self) -> CubicHermiteSpline:
         return CubicHermiteSpline(self.times, self.positions, self.velocities)
@@ -82,22 +99,42 @@ class Trajectory:
         squared = np.diff(self.times)[:, None] ** 2
         return np.abs(np.concatenate([2 * c2, 2 * c2 + 6 * c3]) / np.tile(squared, (2, 1))).max(axis=0)
 
+    def peak_jerk(self) -> FloatArray:
+        """Return the largest jerk (dof,) of each joint; it is constant on each piece."""
+        return np.abs(6 * self.coefficients[3] / np.diff(self.times)[:, None] ** 3).max(axis=0)
+
     def slowed(self, factor: float) -> Trajectory:
         """Return the same path taken `factor` times as slowly."""
         return Trajectory(self.times * factor, self.positions, self.velocities / factor)
 
-    def within(self, velocity: FloatArray, acceleration: FloatArray) -> Trajectory:
-        """Return it slowed down, if needed, to the limits `velocity` and `acceleration` (dof,) [rad/s, rad/s^2]."""
-        factor = max((self.peak_velocity() / velocity).max(), np.sqrt((self.peak_acceleration() / acceleration).max()))
+    def within(self, limits: MotionLimits) -> Trajectory:
+        """Return it slowed down, if needed, to `limits`."""
+        factor = max(
+            (self.peak_velocity() / limits.velocity).max(),
+            np.sqrt((self.peak_acceleration() / limits.acceleration).max()),
+            np.cbrt((self.peak_jerk() / limits.jerk).max()),
+        )
         return self.slowed(float(factor) * (1 + 1e-9)) if factor > 1 else self
 
     def reversed(self) -> Trajectory:
         """Return the same path backwards in time."""
         return Trajectory(self.duration - self.times[::-1], self.positions[::-1], -self.velocities[::-1])
 
+    def split(self, cuts: FloatArray) -> list[Trajectory]:
+        """Return the parts before, between and after the times `cuts` (C,), ascending and not those of knots."""
+        index = np.searchsorted(self.times, cuts)
+        times = np.insert(self.times, index, cuts)
+        positions = np.insert(self.positions, index, self.at(cuts), axis=0)
+        velocities = np.insert(self.velocities, index, self.velocity_at(cuts), axis=0)
+        edges = [0, *(index + np.arange(len(index))).tolist(), len(times) - 1]
+        return [
+            Trajectory(times[a : b + 1] - times[a], positions[a : b + 1], velocities[a : b + 1])
+            for a, b in itertools.pairwise(edges)
+        ]
+
 
 def joined(parts: list[Trajectory]) -> Trajectory:
-    """Return `parts`, each of which begins at rest where the one before it ends at rest, as one trajectory."""
+    """Return `parts`, each of which begins where the one before it ends, and as fast, as one trajectory."""
     starts = np.cumsum([0.0, *(part.duration for part in parts[:-1])])
     return Trajectory(
         np.concatenate([[0.0], *(part.times[1:] + t for part, t in zip(parts, starts, strict=True))]),
