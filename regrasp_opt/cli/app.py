@@ -276,7 +276,7 @@ def check(
 def motion(
     plan: PlanArgument,
     out: Annotated[Path | None, typer.Option(help="Save the motion as JSON.")] = None,
-    csv: Annotated[Path | None, typer.Option(help="Save joint positions and velocities over time as CSV.")] = None,
+    csv: Annotated[Path | None, typer.Option(help="Save the motion of joints and jaw over time as CSV.")] = None,
     step: Annotated[float, typer.Option(help="Time between rows of the CSV \\[s].")] = 0.01,
     scene: Annotated[Path | None, typer.Option(help="Folder to write the scene to, as URDF.")] = None,
     velocity: Annotated[float, typer.Option(help="Fraction of the joints' velocity limits to use, 0.001 to 1.")] = 1.0,
@@ -298,9 +298,7 @@ def motion(
     from regrasp_opt.motion import MotionOptions
 
     home = None if no_home else "robot"
-    options = MotionOptions(
-        home=home, velocity=velocity, acceleration=acceleration, jerk=jerk, squeeze=squeeze, force=force, seed=seed
-    )
+    options = MotionOptions(home, velocity, acceleration, jerk, squeeze=squeeze, force=force, seed=seed)
     return run_motion(plan, options, out=out, csv=csv, step=step, scene=scene, as_json=json)
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from regrasp_opt import RegraspProblem, solve_sequence
 from regrasp_opt.cli.app import run
-from regrasp_opt.motion import MotionPlan
+from regrasp_opt.motion import MotionPlan, Squeeze
 from regrasp_opt.planning.tasks import random_task
 
 
@@ -39,6 +39,15 @@ def test_json_and_options(plan_path, capsys):
     assert content["duration"] == pytest.approx(sum(s["duration"] for s in content["segments"]))
 
 
+def test_jerk_and_squeeze_reach_the_file(plan_path, tmp_path):
+    out = tmp_path / "motion.json"
+    assert (
+        run(["motion", str(plan_path), "--out", str(out), "--jerk", "80", "--squeeze", "0.003", "--force", "25"]) == 0
+    )
+    motion = MotionPlan.load(out)
+    assert motion.jerk_limits.tolist() == [80.0] * 6 and motion.squeeze == Squeeze(0.003, 25.0)
+
+
 def test_no_motion_is_exit_code_one(plan_path, tmp_path, capsys):
     content = json.loads(plan_path.read_text("utf-8"))
     content["status"] = "not_found"
@@ -51,7 +60,15 @@ def test_no_motion_is_exit_code_one(plan_path, tmp_path, capsys):
 
 @pytest.mark.parametrize(
     "arguments",
-    [["none.json"], ["PLAN", "--velocity", "2"], ["PLAN", "--acceleration", "-1"], ["PLAN", "--seed", "-1"]],
+    [
+        ["none.json"],
+        ["PLAN", "--velocity", "2"],
+        ["PLAN", "--acceleration", "-1"],
+        ["PLAN", "--seed", "-1"],
+        ["PLAN", "--jerk", "0"],
+        ["PLAN", "--squeeze", "1"],
+        ["PLAN", "--force", "-1"],
+    ],
 )
 def test_bad_input_is_exit_code_two(plan_path, arguments, capsys):
     assert run(["motion", *(str(plan_path) if a == "PLAN" else a for a in arguments)]) == 2

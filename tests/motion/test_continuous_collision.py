@@ -58,6 +58,19 @@ def test_an_excursion_between_knots_is_found():
     assert verify(point_setting([swing + 0.01, -swing - 0.01]), loop)
 
 
+@pytest.mark.parametrize("place", np.linspace(0.05, 0.95, 10))
+def test_an_excursion_among_many_short_pieces_is_found(place):
+    """Pieces are tested many at once; only one of them swings out and back, between its knots."""
+    times, at_rest = np.linspace(0.0, 1.0, 101), np.zeros((101, 1))
+    one = int(place * 100)
+    swinging = at_rest.copy()
+    swinging[one : one + 2] = 4.0
+    path = Trajectory(times, at_rest, swinging)
+    swing = np.abs(path.at(np.linspace(0, 1, 20_001))).max()
+    assert not verify(point_setting([0.9 * swing, -0.9 * swing]), path)
+    assert verify(point_setting([swing + 0.01, -swing - 0.01]), path)
+
+
 @pytest.mark.parametrize("count", [1, 2, 3, 8, 9, 100])
 def test_the_order_of_intervals_leaves_none_out(count):
     assert sorted(_spread(count)) == list(range(count))

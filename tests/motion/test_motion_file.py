@@ -9,9 +9,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
+from oracles.motions import verify_motion
 
 from regrasp_opt.errors import OptionError, PlanFileError
-from regrasp_opt.motion import MotionPlan, MotionStatus, Phase
+from regrasp_opt.motion import MotionPlan, MotionStatus, Phase, Squeeze
 from regrasp_opt.motion.trajectory import motion_file as module
 
 DOCS = Path(__file__).parents[2] / "docs" / "motion.md"
@@ -29,6 +30,8 @@ def test_a_motion_is_read_back_as_it_was(motion, path):
     assert again.status is MotionStatus.SOLVED and again.reason == ""
     assert np.allclose(again.plan.poses, motion.plan.poses, rtol=0, atol=1e-12)
     assert np.array_equal(again.velocity_limits, motion.velocity_limits)
+    assert again.squeeze == motion.squeeze and again.jaw_events == motion.jaw_events
+    assert again.jerk_limits is None and motion.jerk_limits is None
     assert len(again.segments) == len(motion.segments)
     for a, b in zip(again.segments, motion.segments, strict=True):
         assert (a.phase, a.transition, a.grasp_id, a.jaw) == (b.phase, b.transition, b.grasp_id, b.jaw)
@@ -57,6 +60,10 @@ FAULTS = {
     "if it is solved, and only then": lambda c: c.update(segments=[]),
     "unknown transition": lambda c: c["segments"][1].update(transition=9),
     "other joints": lambda c: c.update(joint_names=["a"] * 6),
+    "jerk_limits.0": lambda c: c.update(jerk_limits=[0.0] * 6),
+    "squeeze.below_contact": lambda c: c["squeeze"].update(below_contact=-0.01),
+    "jaw events are not those of its segments": lambda c: c["jaw_events"][1].update(time=0.1),
+    "there are no jaw events": lambda c: c.pop("jaw_events"),
     "plan schema": lambda c: c["plan"].update(schema=7),
 }
 
@@ -70,6 +77,18 @@ def test_a_malformed_file_is_refused(path, tmp_path, named):
         MotionPlan.load(bad)
 
 
+def test_a_file_of_schema_1_is_read(motion, path, tmp_path):
+    content = json.loads(path.read_text("utf-8")) | {"schema": 1}
+    for key in ("jerk_limits", "squeeze", "jaw_events"):
+        del content[key]
+    (tmp_path / "old.json").write_text(json.dumps(content), "utf-8")
+    old = MotionPlan.load(tmp_path / "old.json")
+    assert old.jerk_limits is None and old.squeeze == Squeeze()
+    assert np.array_equal(old.segments[0].trajectory.positions, motion.segments[0].trajectory.positions)
+    assert all(event.command == event.width_to and event.force is None for event in old.jaw_events)
+    assert verify_motion(tmp_path / "old.json") == []
+
+
 def test_no_file_and_no_json_are_refused(tmp_path):
     with pytest.raises(PlanFileError, match="cannot read the motion"):
         MotionPlan.load(tmp_path / "none.json")
@@ -80,7 +99,7 @@ def test_no_file_and_no_json_are_refused(tmp_path):
 
 def test_every_key_is_documented():
     text = DOCS.read_text("utf-8")
-    for record in (module.MotionFile, module.SegmentSection):
+    for record in (module.MotionFile, module.SegmentSection, module.JawEventSection, module.SqueezeSection):
         for name, field in record.model_fields.items():
             assert f"`{field.alias or name}`" in text, name
     for kind in (Phase, MotionStatus):
@@ -92,7 +111,8 @@ def test_the_csv_holds_the_trajectories(motion, tmp_path):
     with (tmp_path / "motion.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     names = motion.plan.problem.workcell.robot.joint_names
-    assert list(rows[0]) == ["time", "phase", "jaw", *names, *(f"{n}_velocity" for n in names)]
+    numbers = [f"{n}{what}" for what in ("", "_velocity", "_acceleration") for n in names]
+    assert list(rows[0]) == ["time", "phase", "jaw", *numbers, "jaw_command", "jaw_force", "holds"]
     t = np.array([float(row["time"]) for row in rows])
     q = np.array([[float(row[n]) for n in names] for row in rows])
     v = np.array([[float(row[f"{n}_velocity"]) for n in names] for row in rows])
@@ -102,6 +122,13 @@ def test_the_csv_holds_the_trajectories(motion, tmp_path):
         assert Phase[row["phase"].upper()] and np.isfinite(start) and segment.shape == (6,)
     # integrating the velocities gives the positions
     assert np.allclose(q[0] + np.cumsum((v[1:] + v[:-1]) / 2 * np.diff(t)[:, None], axis=0), q[1:], atol=2e-3)
+    a = np.array([[float(row[f"{n}_acceleration"]) for n in names] for row in rows])
+    assert np.allclose(np.cumsum((a[1:] + a[:-1]) / 2 * np.diff(t)[:, None], axis=0), v[1:], atol=0.1)
+    for row in rows:
+        held = row["phase"] in ("grasp", "lift", "transfer", "lower")
+        assert row["holds"] == str(int(held)) and row["jaw_force"] == ""
+        if row["phase"] == "lift":
+            assert float(row["jaw_command"]) == pytest.approx(float(row["jaw"]) - motion.squeeze.below_contact)
     assert {row["phase"] for row in rows} == {s.phase.name.lower() for s in motion.segments}
 
 

@@ -48,6 +48,20 @@ def test_without_a_home_it_begins_with_the_approach_and_ends_with_the_retreat(bo
     assert found.problems == [] and found.collisions == 0
 
 
+def test_jerk_is_limited_where_that_is_asked_for(motion, bottle_plan):
+    limits = np.array([60.0, 60, 80, 80, 100, 100])
+    slow = plan_motion(bottle_plan, MotionOptions(jerk=limits))
+    assert np.array_equal(slow.jerk_limits, limits) and motion.duration < slow.duration < 1.5 * motion.duration
+    found = motion_findings(slow)
+    assert found.problems == [] and 0.9 < found.jerk <= 1.001 and found.jump < 1e-4
+
+
+@pytest.mark.parametrize("jerk", [0.0, -1.0, np.nan, [1.0, 2.0], "fast", 1e9])
+def test_a_jerk_out_of_range_is_refused(bottle_plan, jerk):
+    with pytest.raises(OptionError, match="jerk"):
+        plan_motion(bottle_plan, MotionOptions(jerk=jerk))
+
+
 def test_an_unsolved_plan_has_no_motion(bottle_plan):
     motion = plan_motion(replace(bottle_plan, status=Status.NOT_FOUND, transitions=()))
     assert motion.status is MotionStatus.NO_PLAN and motion.segments == ()

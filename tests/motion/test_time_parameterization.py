@@ -5,8 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from regrasp_opt.motion.trajectory.time_parameterization import fastest, rest_to_rest, rounded, through
-from regrasp_opt.motion.trajectory.trajectory import MotionLimits
+from regrasp_opt.motion.trajectory.time_parameterization import fastest, rest_to_rest, rounded, smoothed, through
+from regrasp_opt.motion.trajectory.trajectory import MotionLimits, Trajectory, joined
 
 LIMITS = MotionLimits(np.array([1.0, 2.0]), np.array([4.0, 3.0]), np.full(2, np.inf))
 
@@ -51,6 +51,50 @@ def test_a_curved_path_keeps_the_limits_and_uses_one_of_them_nearly_all_the_time
     share_v = (np.abs(v) / LIMITS[0]).max(axis=1)
     share_a = (np.abs(np.gradient(v, t, axis=0)) / LIMITS[1]).max(axis=1)
     assert np.mean(np.maximum(share_v, share_a) > 0.9) > 0.9
+
+
+def accelerations(path):
+    """Return those at the beginning and at the end of each piece, (pieces, dof) each."""
+    c2, c3 = path.coefficients[2:] / np.diff(path.times)[:, None] ** 2
+    return 2 * c2, 2 * c2 + 6 * c3
+
+
+def bang_bang():
+    """Return a motion of two parts, in which accelerations jump from limit to limit."""
+    out = Trajectory(np.array([0.0, 0.3]), np.array([[0, 0], [0.18, 0.09]]), np.array([[0, 0], [1.2, 0.6]]))
+    back = Trajectory(np.array([0.0, 0.3]), np.array([[0.18, 0.09], [0.36, 0.18]]), np.array([[1.2, 0.6], [0, 0]]))
+    return [out, back]
+
+
+@pytest.mark.parametrize("jerk", [np.inf, 500.0, 60.0, 5.0])
+def test_a_smoothed_run_has_continuous_accelerations_within_all_limits(jerk):
+    limits = MotionLimits(np.array([1.2, 0.6]), np.array([4.0, 3.0]), np.array([jerk, jerk]))
+    rough = bang_bang()
+    parts = smoothed(rough, limits)
+    assert len(parts) == 2
+    assert np.array_equal(parts[0].positions[0], [0, 0]) and np.array_equal(parts[1].positions[-1], [0.36, 0.18])
+    assert np.array_equal(parts[0].positions[-1], parts[1].positions[0])
+    assert np.array_equal(parts[0].velocities[-1], parts[1].velocities[0])
+    first, last = (np.vstack(each) for each in zip(*map(accelerations, parts), strict=True))
+    rest = np.zeros((1, 2))
+    assert np.abs(np.vstack([first, rest]) - np.vstack([rest, last])).max() < 1e-6
+    for part in parts:
+        assert (part.peak_velocity() <= limits.velocity * (1 + 1e-9)).all()
+        assert (part.peak_acceleration() <= limits.acceleration * (1 + 1e-6)).all()
+        assert (part.peak_jerk() <= limits.jerk * (1 + 1e-4)).all()
+    duration = sum(part.duration for part in parts)
+    assert 0.6 < duration < (0.61 if jerk == np.inf else 2.0)
+    # bang-bang in jerk would take this long
+    if jerk == 5.0:
+        assert duration < 1.6 * np.cbrt(32 * 0.36 / jerk)
+
+
+def test_smoothing_keeps_to_what_the_rough_motion_spans():
+    path = joined(smoothed(bang_bang(), LIMITS))
+    low, high = path.position_range()
+    assert (low >= 0).all() and (high <= [0.36, 0.18]).all()
+    t = np.linspace(0, path.duration, 50)
+    assert np.allclose(path.at(t) @ np.array([1.0, -2.0]), 0.0, atol=1e-12)
 
 
 def test_a_path_through_waypoints_meets_them():

@@ -48,6 +48,27 @@ def test_velocity_is_the_derivative_of_position():
     assert np.allclose(path.velocity_at(t), (path.at(t + h) - path.at(t - h)) / (2 * h), atol=1e-5)
 
 
+def test_acceleration_and_jerk_are_derivatives_of_velocity():
+    path = random_trajectory(np.random.default_rng(5))
+    middles, h = (path.times[1:] + path.times[:-1]) / 2, 1e-4
+    before, after = path.velocity_at(middles - h), path.velocity_at(middles + h)
+    assert np.allclose(path.acceleration_at(middles), (after - before) / (2 * h), atol=1e-6)
+    jerk = (after - 2 * path.velocity_at(middles) + before) / h**2
+    assert np.allclose(path.peak_jerk(), np.abs(jerk).max(axis=0), rtol=1e-4)
+
+
+def test_split_parts_are_the_same_motion():
+    path = random_trajectory(np.random.default_rng(6))
+    cuts = np.array([0.2, 0.3, 0.8]) * path.duration
+    parts = path.split(cuts)
+    for part, start in zip(parts, (0.0, *cuts), strict=True):
+        t = dense(part, 101)
+        assert np.allclose(part.at(t), path.at(start + t))
+        assert np.allclose(part.velocity_at(t), path.velocity_at(start + t))
+    assert sum(part.duration for part in parts) == pytest.approx(path.duration)
+    assert len(path.split(np.array([]))) == 1
+
+
 def test_slowing_keeps_the_path_and_divides_speeds_and_accelerations():
     path = random_trajectory(np.random.default_rng(2))
     slow = path.slowed(2.0)

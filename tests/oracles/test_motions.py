@@ -7,9 +7,11 @@ import pytest
 import trimesh
 from verifying import motion_findings, plan_verifier
 
+from oracles.motions import MotionVerifier
 from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh
 from regrasp_opt.motion import Phase
 from regrasp_opt.motion.trajectory.cartesian_path import line
+from regrasp_opt.motion.trajectory.motion_plan import motion_content
 from regrasp_opt.motion.trajectory.time_parameterization import through
 from regrasp_opt.motion.trajectory.trajectory import Trajectory
 from regrasp_opt.robots import load_robot
@@ -76,6 +78,31 @@ def test_a_jump_of_the_arm_and_of_the_jaw_is_noticed(motion, problems):
     shifted = Trajectory(path.times, path.positions + 1e-4, path.velocities)
     assert "the arm jumps" in problems(changed(motion, Phase.LIFT, trajectory=shifted)[0])
     assert "the jaw jumps" in problems(changed(motion, Phase.APPROACH, jaw=(0.05, 0.05))[0])
+
+
+def test_a_jump_of_an_acceleration_is_noticed(motion, problems):
+    """As fast at all knots as before, but in the middle of the return."""
+    path = first(motion, Phase.RETURN).trajectory
+    velocities = path.velocities.copy()
+    velocities[len(velocities) // 2] *= 0.999
+    jumping = Trajectory(path.times, path.positions, velocities)
+    assert "an acceleration jumps by" in problems(changed(motion, Phase.RETURN, trajectory=jumping)[0])
+
+
+@pytest.mark.parametrize("change", [{"time": 0.1}, {"command": 0.0}, {"force": 9.0}, {"holds": False}, None])
+def test_a_wrong_command_to_the_jaw_is_noticed(motion, verifier, change):
+    content = motion_content(motion)
+    closing = next(n for n, event in enumerate(content["jaw_events"]) if event["holds"])
+    if change is None:
+        del content["jaw_events"][closing]
+    else:
+        content["jaw_events"][closing] |= change
+    found = MotionVerifier(content, verifier).verify(content, **COARSE).problems
+    assert len(found) == 1 and ("jaw event" in found[0] or "the jaw is told" in found[0])
+
+
+def test_too_much_jerk_is_noticed(motion, problems):
+    assert "the jerk is" in problems(replace(motion, jerk_limits=np.full(6, 20.0)))
 
 
 def test_a_missing_phase_is_noticed(motion, problems):

@@ -1,4 +1,4 @@
-"""Paths and their fastest timing within velocity and acceleration limits.
+"""Paths and their fastest timing within limits of velocity, acceleration and jerk.
 
 Along a path ``q(s)`` the square ``x = s'^2`` of the path speed makes both limits linear (Bobrow, Dubowsky and Gibson,
 1985; Verscheure et al., 2009): with ``x`` piecewise linear over a grid and ``u = dx/ds / 2``,
@@ -6,7 +6,12 @@ Along a path ``q(s)`` the square ``x = s'^2`` of the path speed makes both limit
     |dq/ds|^2 x <= v_max^2,        |d2q/ds2 x + dq/ds u| <= a_max.
 
 Raising ``x`` anywhere makes the motion faster, so the fastest motion is the largest ``x``: a linear program. The knots
-it gives are joined by cubics, and the whole is slowed down by what these still exceed a limit.
+it gives are joined by cubics.
+
+Accelerations of such a rough motion jump. What is executed is the uniform cubic B-spline whose control points it passes
+at intervals of ``h``. Positions, speeds and accelerations of the spline are weighted means of those that the rough
+motion has nearby, so limits that hold for that hold for the spline. Its accelerations are continuous, and zero at both
+rests; it takes ``2 h`` longer. The whole is slowed down by what still exceeds a limit.
 """
 
 from __future__ import annotations
@@ -28,14 +33,11 @@ LINE_GRID = 24
 PATH_GRID = 40
 """Intervals of the timing grid along a path with corners."""
 
-PIECES = 100, 70, 50, 35, 25, 17, 12
-"""Cubics of a run with continuous accelerations; the fewer, the less jerk and the later it ends."""
+PIECES = 150, 100, 70, 50, 35, 25, 17, 12
+"""Intervals ``h`` in a run: the first, or with a limit of jerk the one for which it ends first."""
 
 SHORTEST = 1e-3
-"""Least time of such a cubic [s]."""
-
-CUT = 0.01
-"""Least share of a cubic that is cut off where a run is cut into its parts."""
+"""Least interval [s]; where a run is cut into its parts, at least half of that is cut off a cubic."""
 
 
 def through(waypoints: FloatArray) -> CubicSpline:
@@ -68,14 +70,13 @@ def smoothed(parts: Sequence[Trajectory], limits: MotionLimits) -> list[Trajecto
     rough = joined(list(parts))
     marks = np.cumsum([part.duration for part in parts])[:-1]
     found = list[tuple[Trajectory, FloatArray]]()
-    for pieces in PIECES:
+    for pieces in PIECES if np.isfinite(limits.jerk).any() else PIECES[:1]:
         step = max(rough.duration / pieces, SHORTEST)
         spline = _spline_along(rough, step)
         slow = spline.within(limits)
-        places = marks / step + 1
-        whole = np.floor(places)
-        places = whole + np.clip(places - whole, CUT, 1 - CUT)
-        found.append((slow, places * step * (slow.duration / spline.duration)))
+        knots = np.floor(marks / step) * step
+        cuts = step + knots + np.clip(marks - knots, SHORTEST / 2, step - SHORTEST / 2)
+        found.append((slow, cuts * (slow.duration / spline.duration)))
     best, cuts = min(found, key=lambda each: each[0].duration)
     return best.split(cuts)
 
