@@ -13,13 +13,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.motion.motion_data import Phase, Segment
 from regrasp_opt.motion.trajectory.connector import Connector
 from regrasp_opt.motion.trajectory.pick_place import Leg
 from regrasp_opt.motion.trajectory.smoothing_program import LINE_STEPS, STEPS, Crossing, Line, fastest_run
-from regrasp_opt.motion.trajectory.time_parameterization import LINE_GRID, smoothed, through
+from regrasp_opt.motion.trajectory.time_parameterization import LINE_GRID, smoothed
 from regrasp_opt.motion.trajectory.trajectory import Trajectory
 
 ATTEMPTS = ((0.5, np.inf), (0.5, 0.3), (1.0, 0.3))
@@ -30,9 +31,6 @@ SHORTEST = 0.031
 
 DENSE = 20
 """Points of each segment by which a verified path is resampled."""
-
-FINE = 1000
-"""Points of a line from which it is resampled."""
 
 _LEAVING = (Phase.LIFT, Phase.RETREAT)
 _ARRIVING = (Phase.LOWER, Phase.APPROACH)
@@ -79,7 +77,7 @@ def _attempt(connector: Connector, run: list[Segment], share: float, radius: flo
     else:
         path = np.vstack([*rests, middle])
     robot = connector.robot
-    guess = _resampled(path, STEPS)
+    guess = _resampled(path)
     crossing = Crossing(guess, np.maximum(guess - radius, robot.lower), np.minimum(guess + radius, robot.upper))
     parts = fastest_run(before, crossing, after, connector.limits.velocity, connector.limits.acceleration)
     return None if parts is None else smoothed(parts, connector.limits)
@@ -87,19 +85,21 @@ def _attempt(connector: Connector, run: list[Segment], share: float, radius: flo
 
 def _cut(connector: Connector, line: Trajectory, share: float) -> tuple[Line, FloatArray]:
     """Return what stays of a line that begins at rest, and points (P, dof) on the rest of it."""
-    path = through(_resampled(line.at(np.linspace(0.0, line.duration, FINE)), LINE_GRID))
-    ends = [connector.robot.forward(q)[:3, 3] for q in line.positions[[0, -1]]]
-    length = float(np.linalg.norm(ends[1] - ends[0]))
+    q = line.at(np.linspace(0.0, line.duration, LINE_GRID + 1))
+    tips = np.array([connector.robot.forward(each)[:3, 3] for each in q])
+    lengths = np.linalg.norm(tips - tips[0], axis=1)
+    length = float(lengths[-1])
+    path = CubicSpline(lengths / length, q)
     kept = min(1.0, max(share, SHORTEST / length))
     s = kept * np.linspace(0.0, 1.0, LINE_STEPS + 1)
     return Line(path(s), kept * path(s, 1), kept**2 * path(s, 2)), path(np.linspace(kept, 1.0, DENSE))
 
 
-def _resampled(path: FloatArray, count: int) -> FloatArray:
-    """Return `count` + 1 points that are evenly spaced along a polyline (P, dof)."""
+def _resampled(path: FloatArray) -> FloatArray:
+    """Return `STEPS` + 1 points that are evenly spaced along a polyline (P, dof)."""
     lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     keep = np.append(np.diff(lengths) > 0, True)
-    wanted = np.linspace(0.0, lengths[-1], count + 1)
+    wanted = np.linspace(0.0, lengths[-1], STEPS + 1)
     points = np.column_stack([np.interp(wanted, lengths[keep], column) for column in path[keep].T])
     points[0], points[-1] = path[0], path[-1]
     return points
