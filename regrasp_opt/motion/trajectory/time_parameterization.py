@@ -36,6 +36,9 @@ PATH_GRID = 40
 PIECES = 150, 100, 70, 50, 35, 25, 17, 12
 """Intervals ``h`` in a run: the first, or with a limit of jerk the one for which it ends first."""
 
+LEAST = 25
+"""Least number of them where a run is of several parts, of which some are lines of the tool that stay straight."""
+
 SHORTEST = 1e-3
 """Least interval [s]; where a run is cut into its parts, at least half of that is cut off a cubic."""
 
@@ -70,7 +73,8 @@ def smoothed(parts: Sequence[Trajectory], limits: MotionLimits) -> list[Trajecto
     rough = joined(list(parts))
     marks = np.cumsum([part.duration for part in parts])[:-1]
     found = list[tuple[Trajectory, FloatArray]]()
-    for pieces in PIECES if np.isfinite(limits.jerk).any() else PIECES[:1]:
+    counts = PIECES if np.isfinite(limits.jerk).any() else PIECES[:1]
+    for pieces in counts if len(parts) == 1 else [count for count in counts if count >= LEAST]:
         step = max(rough.duration / pieces, SHORTEST)
         spline = _spline_along(rough, step)
         slow = spline.within(limits)
