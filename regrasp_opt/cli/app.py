@@ -282,7 +282,7 @@ def motion(
     velocity: Annotated[float, typer.Option(help="Fraction of the joints' velocity limits to use, 0.001 to 1.")] = 1.0,
     acceleration: Annotated[float, typer.Option(help="Largest joint acceleration \\[rad/s^2], 0.001 to 1000.")] = 5.0,
     jerk: Annotated[float | None, typer.Option(help="Largest joint jerk \\[rad/s^3], 0.1 to 100,000.")] = None,
-    squeeze: Annotated[float, typer.Option(help="How far below contact the jaw is told to close \\[m].")] = 0.002,
+    squeeze: Annotated[float, typer.Option(help="How far below contact the jaw is told to close \\[m].")] = 0.004,
     force: Annotated[float | None, typer.Option(help="Force with which the jaw is told to close \\[N].")] = None,
     no_home: Annotated[bool, typer.Option("--no-home", help="Do not begin and end at the robot's home.")] = False,
     seed: SeedOption = 0,

@@ -75,7 +75,7 @@ class MotionOptions:
     candidates: int = 40
     iterations: int = 400
     jaw_time: float = 0.5
-    squeeze: float = 0.002
+    squeeze: float = 0.004
     force: float | None = None
     optimise: bool = True
     seed: int = 0
