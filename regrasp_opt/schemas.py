@@ -1,4 +1,4 @@
-"""TOML and JSON files read into pydantic schemas, and their errors as one sentence: the key, and what is allowed."""
+"""TOML, JSON and YAML files, read into pydantic schemas, and their errors as one sentence: the key, what is allowed."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any, TypeVar
 
+import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from regrasp_opt.errors import PlanFileError, RegraspError, WorkcellError
@@ -62,20 +63,38 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
         raise WorkcellError(f"{where} is not valid TOML: {error}") from error
 
 
-def read_json(path: Path, what: str) -> Any:
+def read_json(path: Path, what: str, error_type: type[RegraspError] = PlanFileError) -> Any:
     """Return the content of the JSON file `path`; `what` it should hold is named in errors.
 
     Raises
     ------
     PlanFileError
-        If it cannot be read or is not JSON.
+        Or another `error_type`: if it cannot be read or is not JSON.
     """
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise PlanFileError(f"cannot read the {what} '{path}': {error.strerror or error}") from error
+        raise error_type(f"cannot read the {what} '{path}': {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:
-        raise PlanFileError(f"'{path}' is not valid JSON; it may be cut short: save the {what} again") from error
+        raise error_type(f"'{path}' is not valid JSON; it may be cut short: save the {what} again") from error
+
+
+def read_yaml(path: Path, error_type: type[RegraspError]) -> list[Any]:
+    """Return the documents of the YAML file `path`, without empty ones; nothing but plain data is read.
+
+    Raises
+    ------
+    RegraspError
+        As an `error_type`: if it cannot be read or is not YAML.
+    """
+    try:
+        loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+        documents = yaml.load_all(path.read_text(encoding="utf-8"), loader)
+        return [document for document in documents if document is not None]
+    except OSError as error:
+        raise error_type(f"cannot read '{path}': {error.strerror or error}") from error
+    except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
+        raise error_type(f"'{path}' is not valid YAML; it may be cut short: write it again") from error
 
 
 def validated(data: Any, schema: type[File], where: str, error_type: type[RegraspError]) -> File:

@@ -28,7 +28,7 @@ LAYERS = [
     {"solvers"},
     {"planning"},
     {"motion"},
-    {"benchmarks", "viz"},
+    {"benchmarks", "viz", "io"},
     {"cli"},
 ]
 RANK = {name: rank for rank, layer in enumerate(LAYERS) for name in layer}

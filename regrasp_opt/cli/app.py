@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from regrasp_opt.cli import interrupts
+from regrasp_opt.cli import interrupts, options
 from regrasp_opt.cli.completion import EXPERIMENTS, OBJECTS, REFINERS, names, stored
 from regrasp_opt.errors import OptionError, RegraspError
 from regrasp_opt.files import data_home
@@ -29,31 +29,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 _state = {"debug": False}
-
-ObjectOption = Annotated[
-    str,
-    typer.Option(
-        "--object",
-        help="Built-in object (bottle, mug, pentagon, figurine) or a mesh file.",
-        autocompletion=names(OBJECTS),
-    ),
-]
-WorkcellOption = Annotated[
-    str,
-    typer.Option(
-        help="Built-in workcell (nova2-w, nova2-r140, ...) or a TOML file.", autocompletion=stored("workcells")
-    ),
-]
-EffectorOption = Annotated[
-    str | None,
-    typer.Option("--end-effector", help="Replace the workcell's end-effector.", autocompletion=stored("end_effectors")),
-]
-ModelOption = Annotated[Path | None, typer.Option(help="Energy of the arm, or folder of a prepared object.")]
-ScaleOption = Annotated[float, typer.Option(help="Metres per unit of the mesh file, e.g. 0.001.")]
-RepairOption = Annotated[bool, typer.Option("--repair", help="Repair the mesh where that is safe.")]
-ThicknessOption = Annotated[float | None, typer.Option(help="Thickness for sheets in the mesh file \\[m].")]
-SeedOption = Annotated[int, typer.Option(help="Random seed; the same seed gives the same result.")]
-PlanArgument = Annotated[Path, typer.Argument(metavar="PLAN", help="A plan file.", show_default=False)]
 
 
 def run(arguments: list[str]) -> int:
@@ -115,9 +90,9 @@ def _common(
 
 @app.command()
 def plan(
-    object: ObjectOption = "bottle",
-    workcell: WorkcellOption = "nova2-w",
-    end_effector: EffectorOption = None,
+    object: options.ObjectOption = "bottle",
+    workcell: options.WorkcellOption = "nova2-w",
+    end_effector: options.EffectorOption = None,
     start: Annotated[
         str | None,
         typer.Option(metavar="POSE", help="PLACEMENT:x,y,yaw_deg or a JSON file with a 4x4 matrix."),
@@ -130,16 +105,28 @@ def plan(
             autocompletion=names(REFINERS),
         ),
     ] = "ipopt",
-    seed: SeedOption = 0,
+    seed: options.SeedOption = 0,
     max_regrasps: Annotated[int, typer.Option(help="Largest number of intermediate poses.")] = 5,
     time_limit: Annotated[float | None, typer.Option(help="Longest time to search \\[s].")] = None,
-    model: ModelOption = None,
-    obstacles: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="TOML file of obstacles besides the workcell's.")
+    model: options.ModelOption = None,
+    grasps: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Grasps to plan with: .npz, .csv, .h5, .json or .yaml.")
     ] = None,
-    scale: ScaleOption = 1.0,
-    repair: RepairOption = False,
-    thickness: ThicknessOption = None,
+    grasp_frame: options.GraspFrameOption = None,
+    grasp_scale: options.GraspScaleOption = 1.0,
+    grasp_quality: options.GraspQualityOption = None,
+    grasp_near: options.GraspNearOption = "0.005,5",
+    obstacles: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Obstacles besides the workcell's: TOML, MoveIt's .scene or .yaml, or MJCF."),
+    ] = None,
+    obstacle_frame: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Frame of a .scene or MJCF file: world, or the robot's root link."),
+    ] = None,
+    scale: options.ScaleOption = 1.0,
+    repair: options.RepairOption = False,
+    thickness: options.ThicknessOption = None,
     out: Annotated[Path | None, typer.Option(help="Save the plan as JSON.")] = None,
     html: Annotated[Path | None, typer.Option(help="Save a page that shows the plan.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the plan as one JSON object.")] = False,
@@ -154,15 +141,16 @@ def plan(
 
     regrasp-opt plan --object part.stl --workcell my-cell.toml --html plan.html
     """
+    from regrasp_opt.cli.grasps import given_grasps
     from regrasp_opt.cli.plan import run_plan
+    from regrasp_opt.io.scene_files import read_obstacles
     from regrasp_opt.planning import RegraspProblem
-    from regrasp_opt.scene import load_obstacles
 
-    problem = RegraspProblem.load(
-        object, workcell, end_effector=end_effector, model=model, scale=scale, repair=repair, thickness=thickness
-    )
+    given = given_grasps(grasps, grasp_frame, grasp_scale, grasp_quality, grasp_near)
+    given |= {"scale": scale, "repair": repair, "thickness": thickness}
+    problem = RegraspProblem.load(object, workcell, end_effector=end_effector, model=model, **given)
     if obstacles is not None:
-        problem = problem.with_obstacles(load_obstacles(obstacles))
+        problem = problem.with_obstacles(read_obstacles(obstacles, problem.workcell, frame=obstacle_frame))
     search = {"refiner": refiner, "max_regrasps": max_regrasps, "seed": seed, "time_limit": time_limit}
     return run_plan(problem, start, goal, search, out=out, html=html, as_json=json)
 
@@ -185,15 +173,21 @@ def prepare(
         str | None,
         typer.Option("--object", help="Train an energy of this object instead.", autocompletion=names(OBJECTS)),
     ] = None,
-    end_effector: EffectorOption = None,
+    end_effector: options.EffectorOption = None,
     poses: Annotated[int | None, typer.Option(help="Tool poses to train the arm's energy on.")] = None,
     samples: Annotated[int, typer.Option(help="Feasible (pose, grasp) pairs to train an object's on.")] = 20_000,
-    grasps: Annotated[int, typer.Option(help="Candidate grasps of the object.")] = 200,
-    seed: SeedOption = 0,
+    grasps: Annotated[
+        str, typer.Option(metavar="COUNT|FILE", help="Number of candidate grasps of the object, or a file of them.")
+    ] = "200",
+    grasp_frame: options.GraspFrameOption = None,
+    grasp_scale: options.GraspScaleOption = 1.0,
+    grasp_quality: options.GraspQualityOption = None,
+    grasp_near: options.GraspNearOption = "0.005,5",
+    seed: options.SeedOption = 0,
     jobs: Annotated[int, typer.Option(help="Worker processes; -1 uses all cores.")] = -1,
-    scale: ScaleOption = 1.0,
-    repair: RepairOption = False,
-    thickness: ThicknessOption = None,
+    scale: options.ScaleOption = 1.0,
+    repair: options.RepairOption = False,
+    thickness: options.ThicknessOption = None,
     out: Annotated[Path | None, typer.Option(help="File (or folder, of an object's model) to write.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the report as one JSON object.")] = False,
 ) -> int:
@@ -207,11 +201,13 @@ def prepare(
 
     regrasp-opt prepare nova2-w --object part.stl
     """
-    foreign = ("samples", "grasps", "scale", "repair", "thickness") if object is None else ("poses",)
-    given = next((name for name in foreign if _was_given(context, name)), None)
+    of_grasps = ("grasps", "grasp_frame", "grasp_scale", "grasp_quality", "grasp_near")
+    foreign = ("samples", *of_grasps, "scale", "repair", "thickness") if object is None else ("poses",)
+    given = next((name.replace("_", "-") for name in foreign if _was_given(context, name)), None)
     if given is not None:
         other = "an arm; omit it, or give --object" if object is None else "an object; omit it, or omit --object"
         raise OptionError(f"--{given} has no meaning for the energy of {other}")
+    from regrasp_opt.cli.grasps import given_grasps
     from regrasp_opt.cli.prepare import run_prepare, run_prepare_object
     from regrasp_opt.objects import load_object
     from regrasp_opt.scene import load_workcell
@@ -221,7 +217,8 @@ def prepare(
         return run_prepare(cell, json, poses=poses, out=out, seed=seed, jobs=jobs)
     interrupts.resumable()
     body = load_object(object, scale=scale, repair=repair, thickness=thickness)
-    return run_prepare_object(body, cell, json, samples=samples, num_grasps=grasps, out=out, seed=seed, jobs=jobs)
+    candidates = given_grasps(grasps, grasp_frame, grasp_scale, grasp_quality, grasp_near)
+    return run_prepare_object(body, cell, json, samples=samples, out=out, seed=seed, jobs=jobs, **candidates)
 
 
 @app.command()
@@ -233,10 +230,10 @@ def inspect(
     object: Annotated[
         str | None, typer.Option("--object", help="Built-in object or a mesh file.", autocompletion=names(OBJECTS))
     ] = None,
-    end_effector: EffectorOption = None,
-    scale: ScaleOption = 1.0,
-    repair: RepairOption = False,
-    thickness: ThicknessOption = None,
+    end_effector: options.EffectorOption = None,
+    scale: options.ScaleOption = 1.0,
+    repair: options.RepairOption = False,
+    thickness: options.ThicknessOption = None,
     html: Annotated[Path | None, typer.Option(help="Write a page that shows the workcell and the object.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the description as one JSON object.")] = False,
 ) -> int:
@@ -258,7 +255,7 @@ def inspect(
 
 @app.command()
 def check(
-    plan: PlanArgument,
+    plan: options.PlanArgument,
     json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
 ) -> int:
     """Verify a saved plan again from problem data alone; if a claim does not hold, exit with 1 and name it.
@@ -274,7 +271,7 @@ def check(
 
 @app.command()
 def motion(
-    plan: PlanArgument,
+    plan: options.PlanArgument,
     out: Annotated[Path | None, typer.Option(help="Save the motion as JSON.")] = None,
     csv: Annotated[Path | None, typer.Option(help="Save the motion of joints and jaw over time as CSV.")] = None,
     step: Annotated[float, typer.Option(help="Time between rows of the CSV \\[s].")] = 0.01,
@@ -285,7 +282,7 @@ def motion(
     squeeze: Annotated[float, typer.Option(help="How far below contact the jaw is told to close \\[m].")] = 0.004,
     force: Annotated[float | None, typer.Option(help="Force with which the jaw is told to close \\[N].")] = None,
     no_home: Annotated[bool, typer.Option("--no-home", help="Do not begin and end at the robot's home.")] = False,
-    seed: SeedOption = 0,
+    seed: options.SeedOption = 0,
     json: Annotated[bool, typer.Option("--json", help="Print a summary as one JSON object.")] = False,
 ) -> int:
     """Plan the arm's motion for a saved plan: joint trajectories, verified free of collision over their whole length.
@@ -298,13 +295,13 @@ def motion(
     from regrasp_opt.motion import MotionOptions
 
     home = None if no_home else "robot"
-    options = MotionOptions(home, velocity, acceleration, jerk, squeeze=squeeze, force=force, seed=seed)
-    return run_motion(plan, options, out=out, csv=csv, step=step, scene=scene, as_json=json)
+    how = MotionOptions(home, velocity, acceleration, jerk, squeeze=squeeze, force=force, seed=seed)
+    return run_motion(plan, how, out=out, csv=csv, step=step, scene=scene, as_json=json)
 
 
 @app.command()
 def show(
-    plan: PlanArgument,
+    plan: options.PlanArgument,
     motion: Annotated[Path | None, typer.Option(help="A motion of the plan, saved by 'motion --out'.")] = None,
     html: Annotated[Path | None, typer.Option(help="Write one page that needs no network, and exit.")] = None,
     candidates: Annotated[
@@ -378,7 +375,7 @@ def bench(
     ] = None,
     jobs: Annotated[int, typer.Option(help="Worker processes; -1 uses all cores.")] = -1,
     dask: Annotated[str | None, typer.Option(help="Address of a Dask scheduler whose workers to use.")] = None,
-    seed: SeedOption = 0,
+    seed: options.SeedOption = 0,
     out: Annotated[Path, typer.Option(help="Folder of the results; an interrupted run resumes there.")] = Path(
         "benchmarks"
     ),

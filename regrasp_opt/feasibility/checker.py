@@ -76,10 +76,11 @@ class FeasibilityChecker:
     Raises
     ------
     GraspError
-        If `grasps` is empty.
+        If `grasps` is empty, or their widths are not known yet.
     """
 
     def __init__(self, model: ObjectModel | None, workcell: Workcell, grasps: GraspSet) -> None:
+        grasps.need_widths()
         if len(grasps) == 0:
             raise GraspError("the grasp set is empty; sample or load at least one grasp")
         self.workcell = workcell

@@ -145,5 +145,6 @@ def _reaches_in(points: NDArray[np.float32], box: Box, poses: FloatArray) -> Boo
 
 def gripper_free(grasps: GraspSet, model: ObjectModel, end_effector: EndEffector) -> BoolArray:
     """Return in which grasps (G,) body and fingers are clear of the object and not inside it."""
+    grasps.need_widths()
     clearance = GripperClearance(model.vertices, model.faces, end_effector, given=True)
     return clearance.body_free(grasps.T_object_tcp) & clearance.fingers_free(grasps.T_object_tcp, grasps.width)

@@ -63,7 +63,13 @@ def hold_failures(grasps: GraspSet, model: ObjectModel, end_effector: EndEffecto
     model : ObjectModel
     end_effector : EndEffector
         Its pads, or the radius of its cup.
+
+    Raises
+    ------
+    GraspError
+        If the widths of the grasps are not known yet.
     """
+    grasps.need_widths()
     return failures_on(make_surface(model.mesh), grasps, end_effector)
 
 

@@ -15,7 +15,7 @@ from regrasp_opt.grasps.antipodal import FRICTION, MIN_WIDTH, contact_depths, co
 from regrasp_opt.grasps.candidates import frames_about
 from regrasp_opt.grasps.clearance import GripperClearance
 from regrasp_opt.grasps.grasp_set import GraspSet
-from regrasp_opt.grasps.holding import failures_on
+from regrasp_opt.grasps.holding import Failure, failures_on
 from regrasp_opt.grasps.suction import NO_SEAL, seal_grades
 from regrasp_opt.grasps.surface import TriangleSurface, cast_rays, make_surface, sample_points
 from regrasp_opt.objects import ObjectModel
@@ -76,6 +76,29 @@ class GraspProjector:
         holds = [index for index, failure in enumerate(failures) if failure is None]
         return grasps.subset(holds), source[holds]
 
+    def failures(self, T_object_tcp: FloatArray, grade: int = 0) -> list[Failure]:
+        """Return for tool poses (B, 4, 4) that do not settle what is wrong with them: the first cause that is not."""
+        T = np.array(T_object_tcp, dtype=np.float64).reshape(-1, 4, 4)
+        if self._effector.kind == "suction":
+            passed = [(Failure.NO_CONTACT, self._touched(T)[0]), (Failure.LEAKS, self._sealed(T, grade, free=False)[2])]
+        else:
+            widest = self._effector.max_opening - 2 * self._effector.pre_opening
+            depths = contact_depths(self._effector)
+            between = [
+                np.concatenate([_between_contacts(self._surface, T, depth, width)[2] for depth in depths])
+                for width in (np.inf, widest)
+            ]
+            crossed = [
+                k
+                for depth in depths
+                for k, (distance, _) in enumerate(_crossings(self._surface, T, depth))
+                if (np.abs(distance) <= widest / 2).any()
+            ]
+            opposed, fit = between
+            held = np.union1d(crossed, opposed)
+            passed = [(Failure.NOTHING_HELD, held), (Failure.SLIPS, opposed), (Failure.TOO_WIDE, fit)]
+        return [next((why for why, fine in passed if k not in fine), Failure.OVERLAP) for k in range(len(T))]
+
     def _gripped(self, T: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
         """Return the nearest parallel grasps, their widths and sources; the first depth and widening that fit count."""
         widest = self._effector.max_opening - 2 * self._effector.pre_opening
@@ -91,8 +114,8 @@ class GraspProjector:
             left = np.setdiff1d(left, sources[-1])
         return np.concatenate(poses), np.concatenate(widths), np.concatenate(sources)
 
-    def _sealed(self, T: FloatArray, grade: int) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Return the nearest suction grasps, their widths (0) and sources."""
+    def _touched(self, T: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Return which cups find surface near ahead or behind (K,), where (K, 3), and the direction into it (K, 3)."""
         hits = cast_rays(self._surface, T[:, :3, 3], T[:, :3, 2])
         facing = np.einsum("hi,hi->h", self._surface.normals[hits.face], T[hits.ray, :3, 2]) < 0
         near = np.flatnonzero(facing & (np.abs(hits.distance) <= SHIFT))
@@ -100,12 +123,17 @@ class GraspProjector:
         source, first = np.unique(hits.ray[near], return_index=True)
         near = near[first]
         center = T[source, :3, 3] + hits.distance[near, None] * T[source, :3, 2]
-        inward = -self._surface.normals[hits.face[near]]
+        return source, center, -self._surface.normals[hits.face[near]]
+
+    def _sealed(self, T: FloatArray, grade: int, free: bool = True) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Return the nearest suction grasps, their widths (0) and sources; if asked, only where the body is `free`."""
+        source, center, inward = self._touched(T)
         approach, grades = seal_grades(self._surface, center, inward, self._effector.cup_radius)
         settled = np.array([_turned(T[k], 2, z) for k, z in zip(source, approach, strict=True)]).reshape(-1, 4, 4)
         settled[:, :3, 3] = center
         good = grades <= grade
-        good[good] = self._clearance.body_free(settled[good])
+        if free:
+            good[good] = self._clearance.body_free(settled[good])
         return settled[good], np.zeros(int(good.sum())), source[good]
 
 

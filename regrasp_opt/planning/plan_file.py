@@ -62,6 +62,7 @@ class _Workcell1(Reference):
 class _Grasp(Section):
     T_object_tcp: list[Row]
     width: Annotated[float, Field(ge=0)]
+    name: str | None = None
 
 
 class _Transition(Section):
@@ -141,11 +142,16 @@ def plan_content(plan: PlanData) -> dict[str, Any]:
             "end_effector": cell.end_effector_override,
             **scene_content(cell),
         },
-        "grasps": [
-            {"T_object_tcp": T.tolist(), "width": float(w)}
-            for T, w in zip(problem.grasps.T_object_tcp, problem.grasps.width, strict=True)
-        ],
+        "grasps": _grasp_content(problem.grasps),
     }
+
+
+def _grasp_content(grasps: GraspSet) -> list[dict[str, Any]]:
+    items = zip(grasps.T_object_tcp, grasps.width, strict=True)
+    content = [{"T_object_tcp": T.tolist(), "width": float(width)} for T, width in items]
+    for grasp, name in zip(content, grasps.names, strict=False):
+        grasp["name"] = name
+    return content
 
 
 def load_plan(path: str | os.PathLike[str], kind: type[Plan]) -> Plan:
@@ -203,7 +209,10 @@ def _problem(content: _File, path: Path) -> RegraspProblem:
     except PoseError as error:
         raise PlanFileError(f"'{path}': {error}") from error
     widths = np.array([g.width for g in content.grasps])
-    grasps = GraspSet(T.reshape(-1, 4, 4), widths, cell.arm.end_effector.kind)
+    names = tuple(g.name for g in content.grasps if g.name is not None)
+    if names and len(names) != len(T):
+        raise PlanFileError(f"'{path}': some grasps have names and others have none; save the plan again")
+    grasps = GraspSet(T.reshape(-1, 4, 4), widths, cell.arm.end_effector.kind, names)
     return assemble(body, cell, grasps, find_model(body, cell))  # all of them: transitions name them by number
 
 

@@ -32,6 +32,7 @@ from regrasp_opt.feasibility.dataset import (
 from regrasp_opt.files import data_home, replaced_folder
 from regrasp_opt.grasps import GraspSet, sample_grasps
 from regrasp_opt.objects import ObjectModel
+from regrasp_opt.planning.given_grasps import NEAR, Near, usable_grasps
 from regrasp_opt.planning.model_key import ModelKey
 from regrasp_opt.planning.model_store import (
     ENERGY_FILES,
@@ -54,6 +55,8 @@ def prepare(
     *,
     samples: int = DEFAULT_SAMPLES,
     num_grasps: int = 200,
+    grasps: GraspSet | None = None,
+    near: Near = NEAR,
     out: str | os.PathLike[str] | None = None,
     seed: int = 0,
     jobs: int = -1,
@@ -66,7 +69,9 @@ def prepare(
     samples : int
         Feasible (pose, grasp) pairs to train on; the infeasible ones met on the way are kept too.
     num_grasps : int
-        Candidate grasps of the model.
+        Candidate grasps of the model, where none are given.
+    grasps, near
+        Same as in `RegraspProblem.load`.
     out : path, optional
         Folder of the model; by default one in the user's data folder, where `RegraspProblem.load` finds it.
     seed : int
@@ -85,7 +90,7 @@ def prepare(
     Raises
     ------
     GraspError
-        If no grasp fits the object or none is feasible in the workspace.
+        If no grasp fits the object, none of the given ones holds it, or none is feasible in the workspace.
     ModelError
         If the labels cannot train an energy.
     OptionError
@@ -96,13 +101,10 @@ def prepare(
     tell = progress or (lambda *_: None)
     began = [time.perf_counter()]
     tell("sampling grasps", 0, 1)
-    grasps = sample_grasps(model, workcell.end_effector, num_grasps, seed=seed, clearance=workcell.clearance.gripper)
+    arguments, grasps = _candidates(model, workcell, num_grasps if grasps is None else grasps, near, seed)
     began.append(time.perf_counter())
     placements = np.array([workcell.table.T_world_support @ p.pose for p in model.placements])
-    task = LabellingTask(model, workcell, grasps, placements, seed)
-    labels = data_home() / "labels"
-    pairs = label_pairs(task, samples, folder=labels, jobs=jobs, progress=lambda n, of: tell("labelling", n, of))
-    held_out = label_poses(task, HELD_OUT_POSES, jobs=jobs)
+    pairs, held_out = _labelled(LabellingTask(model, workcell, grasps, placements, seed), samples, jobs, tell)
     began.append(time.perf_counter())
     energies = _train_presets(pairs, held_out, grasps, seed, jobs, tell)
     began.append(time.perf_counter())
@@ -113,7 +115,7 @@ def prepare(
         "made_for": key.parts(),
         "grasps_fingerprint": grasps.fingerprint(),
         "command": f"regrasp-opt prepare {command_arguments(model, workcell)} --samples {samples} "
-        f"--grasps {num_grasps} --seed {seed}",
+        f"{arguments} --seed {seed}",
         "object": model.name,
         "workcell": workcell.name,
         "seed": seed,
@@ -127,6 +129,26 @@ def prepare(
     }
     folder = default_folder(model, workcell) if out is None else Path(out)
     return _store(folder, grasps, energies, report), report
+
+
+def _candidates(
+    model: ObjectModel, workcell: Workcell, grasps: int | GraspSet, near: Near, seed: int
+) -> tuple[str, GraspSet]:
+    """Return as many grasps as asked for, or those given that can be used, and the arguments that ask for them."""
+    if not isinstance(grasps, GraspSet):
+        sampled = sample_grasps(model, workcell.end_effector, grasps, seed=seed, clearance=workcell.clearance.gripper)
+        return f"--grasps {grasps}", sampled
+    used, _ = usable_grasps(grasps, model, workcell.arm.end_effector, near)
+    degrees = np.degrees(near.angle)
+    given = "--grasps GRASPS" if grasps.source is None else grasps.source.arguments
+    return f"{given} --grasp-near {near.distance:g},{degrees:g}", used
+
+
+def _labelled(task: LabellingTask, samples: int, jobs: int, tell: Progress) -> tuple[LabelledPairs, LabelledPoses]:
+    """Return pairs to train on and poses held out."""
+    labels = data_home() / "labels"
+    pairs = label_pairs(task, samples, folder=labels, jobs=jobs, progress=lambda n, of: tell("labelling", n, of))
+    return pairs, label_poses(task, HELD_OUT_POSES, jobs=jobs)
 
 
 def _check(model: ObjectModel, workcell: Workcell, samples: int, num_grasps: int, jobs: int) -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import logging
 import os
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,9 +11,10 @@ from typing import Any, Literal
 from regrasp_opt.connectivity import CostOptions
 from regrasp_opt.errors import GraspError, UnknownNameError, WorkcellError
 from regrasp_opt.geometry.shapes import Shape
-from regrasp_opt.grasps import GraspSet, rejected_grasps, sample_grasps
+from regrasp_opt.grasps import GraspSet, sample_grasps
 from regrasp_opt.objects import ObjectModel, Placement, load_object
 from regrasp_opt.planning.arm_energy import load_arm_energy
+from regrasp_opt.planning.given_grasps import NEAR, Near, usable_grasps
 from regrasp_opt.planning.model_store import ENERGY_FILES, find_model, load_prepared_grasps
 from regrasp_opt.planning.problem_data import ProblemData
 from regrasp_opt.planning.rests import Rests, check_fixtures
@@ -26,11 +25,6 @@ from regrasp_opt.solvers import RegraspNLP
 
 DEFAULT_GRASPS = 200
 """Candidate grasps of a problem (the paper's number)."""
-
-NAMED = 3
-"""Grasps that are named in the warning about those left out."""
-
-logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +59,8 @@ class RegraspProblem(ProblemData):
         *,
         end_effector: str | None = None,
         model: str | os.PathLike[str] | None = None,
-        grasps: GraspSet | None = None,
+        grasps: GraspSet | str | os.PathLike[str] | None = None,
+        near: Near = NEAR,
         scale: float = 1.0,
         repair: bool = False,
         thickness: float | None = None,
@@ -84,11 +79,13 @@ class RegraspProblem(ProblemData):
         model : path, optional
             What ``regrasp-opt prepare --out`` wrote: the file of an arm's energy, or the folder of an object's model.
             By default the object's model is searched, then the arm's energy, among the bundled ones and the user's.
-        grasps : GraspSet, optional
+        grasps : GraspSet or path, optional
             Plan with these instead of the prepared ones; an energy knows grasps by their geometry, not their number.
-            Each must hold the object and be free of it otherwise (`regrasp_opt.grasps.Failure`). One warning names
-            those that are left out, as does `left_out`; grasp ids of plans number the rest. Grasps of a `model` that
-            is named are tested as well.
+            A path is read by `GraspSet.load`. Each must hold the object and be free of it otherwise
+            (`regrasp_opt.grasps.Failure`). One warning counts and names those that are left out, as does `left_out`;
+            grasp ids of plans number the rest. Grasps of a `model` that is named are tested as well.
+        near : Near
+            How far grasps without widths may be moved and turned to hold the object, which finds their widths.
         scale, repair, thickness
             Same as in `load_object`.
         preset : {"default", "paper"}
@@ -121,6 +118,8 @@ class RegraspProblem(ProblemData):
         if file is not None:
             load_arm_energy(file, workcell)
         folder = find_model(body, workcell, None if model is None else Path(model)) if file is None else None
+        if isinstance(grasps, (str, os.PathLike)):
+            grasps = GraspSet.load(grasps)
         tested = grasps is not None or (folder is not None and model is not None)
         if grasps is None and folder is not None:
             grasps = load_prepared_grasps(folder)
@@ -128,7 +127,7 @@ class RegraspProblem(ProblemData):
             grasps = sample_grasps(body, workcell.end_effector, DEFAULT_GRASPS, clearance=workcell.clearance.gripper)
         left_out: dict[int, str] = {}
         if tested:
-            grasps, left_out = _usable(grasps, body, workcell)
+            grasps, left_out = usable_grasps(grasps, body, workcell.arm.end_effector, near)
         return assemble(body, workcell, grasps, folder, preset, left_out, file)
 
     def with_obstacles(self, obstacles: Iterable[Shape | Mapping[str, Any]]) -> RegraspProblem:
@@ -216,28 +215,3 @@ def assemble(
     """Return the problem of these parts; nothing is tested, and no grasp is left out."""
     placements = tuple(Placement(workcell.table.T_world_support @ p.pose, p.margin) for p in body.placements)
     return RegraspProblem(body, workcell, grasps, placements, folder, preset, left_out or {}, arm_energy)
-
-
-def _usable(grasps: GraspSet, body: ObjectModel, workcell: Workcell) -> tuple[GraspSet, dict[int, str]]:
-    """Return those of the given `grasps` that hold the object, and why the others are left out."""
-    effector = workcell.arm.end_effector
-    if not isinstance(grasps, GraspSet):
-        raise GraspError(f"grasps is a {type(grasps).__name__}; give a GraspSet of poses, widths and kind")
-    if len(grasps) == 0:
-        raise GraspError("the grasp set is empty; sample or load at least one grasp")
-    if grasps.kind != effector.kind:
-        raise GraspError(f"the grasps are for a {grasps.kind} end-effector, which '{effector.name}' is not")
-    left_out = {index: failure.value for index, failure in rejected_grasps(grasps, body, effector).items()}
-    if not left_out:
-        return grasps, {}
-    if len(left_out) == len(grasps):
-        counts = ", ".join(f"{count} because {why}" for why, count in Counter(left_out.values()).most_common())
-        raise GraspError(
-            f"none of the {len(grasps)} grasps can be used on '{body.name}' with '{effector.name}': {counts}; sample "
-            "grasps for both together, or check units and frames (T_object_tcp: z approach, y closing direction)"
-        )
-    named = [f"grasp {index} because {why}" for index, why in list(left_out.items())[:NAMED]]
-    rest = f", and {len(left_out) - NAMED} more" if len(left_out) > NAMED else ""
-    text = "%d of %d grasps are left out, and the others renumbered from 0: %s%s (problem.left_out has all)"
-    logger.warning(text, len(left_out), len(grasps), "; ".join(named), rest)
-    return grasps.subset([index for index in range(len(grasps)) if index not in left_out]), left_out
