@@ -65,7 +65,8 @@ def poses(position: FloatArray, quaternion: FloatArray, where: str) -> FloatArra
     GraspError
         If a quaternion is not of unit length.
     """
-    length = np.linalg.norm(quaternion, axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):  # of numbers that a damaged file holds
+        length = np.linalg.norm(quaternion, axis=1)
     wrong = ~(np.abs(length - 1) <= UNIT)
     if wrong.any():
         first = int(wrong.argmax())

@@ -22,18 +22,23 @@ def read_mjcf(path: Path) -> list[Shape]:
     Raises
     ------
     WorkcellError
-        If MuJoCo is not installed or refuses the model, or a geom is a height field or a distance function.
+        If MuJoCo is not installed or refuses the model, or a geom is a height field or a distance function, or is
+        nowhere.
     """
     try:
         import mujoco
     except ImportError as error:
         raise WorkcellError(f"reading {path} needs the package mujoco; install regrasp-opt[formats]") from error
+    warn = mujoco.get_mju_user_warning()
     try:
         if "<mujoco" not in path.read_text(encoding="utf-8"):
             raise WorkcellError(f"scene {path} is not a model of MuJoCo's: it has no <mujoco>; give an MJCF file")
+        mujoco.set_mju_user_warning(lambda text: None)  # or a warning leaves a file in the current folder
         model = mujoco.MjModel.from_xml_path(str(path))
     except (OSError, ValueError) as error:
-        raise WorkcellError(f"scene {path} cannot be read: {error}") from error
+        raise WorkcellError(f"scene {path} cannot be read: {' '.join(str(error).split())}") from error
+    finally:
+        mujoco.set_mju_user_warning(warn)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     kinds = mujoco.mjtGeom
@@ -46,6 +51,8 @@ def read_mjcf(path: Path) -> list[Shape]:
     for i in np.flatnonzero(still & collides).tolist():
         pose = translation(*data.geom_xpos[i])
         pose[:3, :3] = data.geom_xmat[i].reshape(3, 3)
+        if not np.isfinite(pose).all():
+            raise WorkcellError(f"scene {path}: the pose of geom '{names[i]}' holds NaN or infinity; give numbers")
         kind, size, name = kinds(int(model.geom_type[i])), np.array(model.geom_size[i]), names[i]
         if kind == kinds.mjGEOM_PLANE:
             planes.append(name)

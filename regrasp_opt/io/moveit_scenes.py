@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from regrasp_opt.conventions import FloatArray
+from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.errors import WorkcellError
 from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh, Shape
 from regrasp_opt.io.scene_shapes import ENCLOSED, ball_around, cone_around, say_left_out
@@ -26,8 +26,11 @@ PRIMITIVES = {1: "box", 2: "sphere", 3: "cylinder", 4: "cone"}
 POSES = {"primitives": "primitive_poses", "meshes": "mesh_poses", "planes": "plane_poses"}
 """Lists of shapes in a message, and of their poses."""
 
-SIZES = {"box": 3, "sphere": 1, "cylinder": 2, "cone": 2, "plane": 4, "mesh": 2}
-"""How many numbers follow the name of a shape in a ``.scene`` file; for a mesh these count vertices and triangles."""
+SIZES = {"box": 3, "sphere": 1, "cylinder": 2, "cone": 2, "plane": 4, "mesh": 0}
+"""How many numbers say how large each kind of shape is."""
+
+FARTHEST = 1e3
+"""Farthest position that an obstacle may have [m]."""
 
 ADD, REMOVE, APPEND = 0, 1, 2
 """Operations of ``moveit_msgs/msg/CollisionObject``."""
@@ -63,7 +66,7 @@ def read_scene_text(path: Path) -> list[Shape]:
         name, content = lines[start].lstrip()[1:].strip(), [line for line in lines[start + 1 : stop] if line.strip()]
         try:
             _read_object(reader, name, content)
-        except (ValueError, IndexError) as error:
+        except (ValueError, IndexError, OverflowError) as error:
             raise WorkcellError(f"scene {path}: object '{name}' is not complete, or not in MoveIt's format") from error
     return reader.finished()
 
@@ -72,10 +75,10 @@ def _read_object(reader: _Shapes, name: str, lines: list[str]) -> None:
     tokens = iter(" ".join(lines).split())
 
     def numbers(count: int) -> FloatArray:
-        values = np.array([float(next(tokens, "")) for _ in range(count)])
-        if not np.isfinite(values).all():
-            raise ValueError("not finite")
-        return values
+        return np.array([float(next(tokens, "")) for _ in range(count)])
+
+    def whole(count: int) -> IntArray:
+        return np.array([int(next(tokens, "")) for _ in range(count)], dtype=np.int64)
 
     def pose() -> FloatArray:
         position, quaternion = numbers(3), numbers(4)
@@ -85,13 +88,13 @@ def _read_object(reader: _Shapes, name: str, lines: list[str]) -> None:
     T_object = pose() if placed else np.eye(4)
     for _ in range(count := int(next(tokens, ""))):
         kind = next(tokens, "")
-        size = numbers(SIZES.get(kind) or reader.unknown(name, kind))
-        mesh = None
+        mesh, size = None, np.zeros(0)
         if kind == "mesh":
-            vertices, triangles = size.astype(np.int64).tolist()
-            mesh = numbers(3 * vertices).reshape(-1, 3), numbers(3 * triangles).reshape(-1, 3).astype(np.int64)
-        elif kind in ("cylinder", "cone"):
-            size = size[::-1]  # a message has the height first
+            vertices, triangles = whole(2).tolist()
+            mesh = numbers(3 * vertices).reshape(-1, 3), whole(3 * triangles).reshape(-1, 3)
+        else:
+            size = numbers(SIZES.get(kind) or reader.unknown(name, kind))
+            size = size[::-1] if kind in ("cylinder", "cone") else size  # a message has the height first
         T_shape = pose()
         numbers(4)  # the colour
         reader.add(name, count, kind, size, T_object @ T_shape, mesh)
@@ -171,7 +174,7 @@ def _read_message(reader: _Shapes, name: str, message: dict[str, Any], known: di
             reader.add(name, count, word or str(given), size, T_shape)
 
 
-def _triangles(mesh: dict[str, Any]) -> tuple[FloatArray, Any]:
+def _triangles(mesh: dict[str, Any]) -> tuple[FloatArray, IntArray]:
     vertices = np.array([[point[axis] for axis in "xyz"] for point in mesh["vertices"]], dtype=np.float64)
     faces = np.array([triangle["vertex_indices"] for triangle in mesh["triangles"]], dtype=np.int64)
     return vertices.reshape(-1, 3), faces.reshape(-1, 3)
@@ -191,8 +194,12 @@ class _Shapes:
         """Return the pose (4, 4) of a position [m] and a quaternion (4,), w last; all zeros mean no rotation."""
         T = np.eye(4)
         T[:3, 3] = position
-        length = float(np.linalg.norm(quaternion))
-        if length > 0:
+        if not (np.abs(T[:3, 3]) <= FARTHEST).all():
+            far = np.abs(T[:3, 3]).max()
+            raise WorkcellError(f"scene {self.path}: object '{name}' is {far:.3g} m away; give metres")
+        with np.errstate(over="ignore", invalid="ignore"):
+            length = float(np.linalg.norm(quaternion))
+        if length != 0:
             if not abs(length - 1) <= UNIT:
                 raise WorkcellError(
                     f"scene {self.path}: object '{name}' has a quaternion of length {length:.3g}, not 1"
@@ -221,7 +228,7 @@ class _Shapes:
         kind: str,
         size: FloatArray,
         T: FloatArray,
-        mesh: tuple[FloatArray, Any] | None = None,
+        mesh: tuple[FloatArray, IntArray] | None = None,
     ) -> None:
         """Add a shape at `T` (4, 4) to the object `name`, one of its `count`; `size` is that of a message."""
         if kind not in SIZES:

@@ -8,12 +8,13 @@ reason and, if that is most of the set, with what else the file could mean.
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
 
-from regrasp_opt.conventions import FloatArray, invert, pose_distance
+from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, invert, pose_distance
 from regrasp_opt.end_effectors import EndEffector
 from regrasp_opt.errors import GraspError, OptionError
 from regrasp_opt.grasps import GraspSet, rejected_grasps
@@ -118,27 +119,32 @@ def _names(grasps: GraspSet, which: list[int]) -> str:
 
 def _settled(grasps: GraspSet, body: ObjectModel, effector: EndEffector, near: Near) -> tuple[GraspSet, dict[int, str]]:
     """Return the grasps that can be used, on the object, and why the others cannot be."""
-    numbers, left_out = np.arange(len(grasps)), {}
+    numbers, left_out = np.arange(len(grasps)), dict[int, str]()
     if not grasps.settled:
-        projector, worst = GraspProjector(body, effector), NO_SEAL - 1
-        found, source = projector.settle(grasps.T_object_tcp, worst)
-        moved, turned = pose_distance(grasps.T_object_tcp[source], found.T_object_tcp)
-        close = (moved <= near.distance + 1e-9) & (turned <= near.angle + 1e-6)
+        projector = GraspProjector(body, effector)
+        found, source, close = _projected(grasps.T_object_tcp, projector, near)
         lost = np.setdiff1d(numbers, source)
-        failures = projector.failures(grasps.T_object_tcp[lost], worst)
-        left_out = {index: why.value for index, why in zip(lost.tolist(), failures, strict=True)}
+        failures = projector.failures(grasps.T_object_tcp[lost], NO_SEAL - 1)
         far = (
             f"it would have to be moved more than {1e3 * near.distance:g} mm or turned more than "
             f"{np.degrees(near.angle):.3g} degrees to hold the object"
         )
+        left_out = {index: why.value for index, why in zip(lost.tolist(), failures, strict=True)}
         left_out |= dict.fromkeys(source[~close].tolist(), far)
-        numbers, given = source[close], grasps.subset(source[close])
-        grasps = GraspSet(found.T_object_tcp[close], found.width[close], given.kind, given.names, given.source)
+        numbers, found = source[close], found.subset(close)
+        grasps = replace(grasps.subset(numbers), T_object_tcp=found.T_object_tcp, width=found.width)
     rejected = rejected_grasps(grasps, body, effector)
     left_out |= {int(numbers[index]): failure.value for index, failure in rejected.items()}
     if rejected:
         grasps = grasps.subset([index for index in range(len(grasps)) if index not in rejected])
     return grasps, dict(sorted(left_out.items()))
+
+
+def _projected(T_object_tcp: FloatArray, projector: GraspProjector, near: Near) -> tuple[GraspSet, IntArray, BoolArray]:
+    """Return the grasps in which poses (B, 4, 4) settle, which pose each is from (K,), and which are near it (K,)."""
+    found, source = projector.settle(T_object_tcp, NO_SEAL - 1)
+    moved, turned = pose_distance(T_object_tcp[source], found.T_object_tcp)
+    return found, source, (moved <= near.distance + 1e-9) & (turned <= near.angle + 1e-6)
 
 
 def _hint(grasps: GraspSet, body: ObjectModel, effector: EndEffector, near: Near) -> str | None:
@@ -175,9 +181,9 @@ def _better_frame(
         if AXES[approach] @ AXES[closing] == 0 and not closing.startswith("-"):
             frame = HandFrame(approach, closing, mine.tcp, mine.kind)
             others[str(frame)] = frame
-    best, most = None, 0
+    best, most, projector = None, 0, GraspProjector(body, effector)
     for name, frame in others.items():
-        used = _settled(GraspSet(T @ frame.T_hand_tcp, None, mine.kind), body, effector, near)[0]
-        if len(used) > most:
-            best, most = name, len(used)
+        count = int(_projected(T @ frame.T_hand_tcp, projector, near)[2].sum())
+        if count > most:
+            best, most = name, count
     return None if best is None or most < CLEARLY * len(T) else (best, most)

@@ -14,20 +14,25 @@ from xml.etree.ElementTree import ParseError
 
 import numpy as np
 import trimesh
+import yaml
+from grasp_files import Z_APPROACH_X_CLOSING, acronym_json, graspgen, hand_poses, isaac, write, write_acronym
+from scene_texts import BODIES, collision_object, mjcf, planning_scene, scene_text
 
 from regrasp_opt.conventions import translation
 from regrasp_opt.end_effectors import load_end_effector
 from regrasp_opt.energy.storage import load_energy
 from regrasp_opt.files import UNREADABLE_ARRAYS
 from regrasp_opt.grasps import GraspSet
+from regrasp_opt.io.scene_files import read_obstacles
 from regrasp_opt.motion import MotionPlan, plan_motion
 from regrasp_opt.objects import load_object
 from regrasp_opt.objects.builtin import build
 from regrasp_opt.planning import RegraspPlan, RegraspProblem, solve_sequence
+from regrasp_opt.planning.given_grasps import usable_grasps
 from regrasp_opt.planning.model_store import REPORT_FILE
 from regrasp_opt.planning.pose_text import parse_pose
 from regrasp_opt.robots import load_robot
-from regrasp_opt.scene import load_workcell
+from regrasp_opt.scene import as_obstacles, load_workcell
 
 from . import mutations as damage
 from .commands import command_lines, run_command_line
@@ -169,6 +174,43 @@ def _grasps(folder: Path) -> list[tuple[str, bytes]]:
     return [(".npz", (_MODEL / "grasps.npz").read_bytes())]
 
 
+def _foreign_grasps(folder: Path) -> list[tuple[str, bytes]]:
+    grasps = GraspSet.load(_MODEL / "grasps.npz").subset(np.arange(0, 200, 40))
+    T, count = hand_poses(grasps.T_object_tcp, 0.1034, Z_APPROACH_X_CLOSING), np.ones(len(grasps))
+    grasps.save(folder / "grasps.csv")
+    found = [(".csv", (folder / "grasps.csv").read_bytes())]
+    for name, content in (
+        ("a.json", acronym_json(T, count)),
+        ("b.json", graspgen(T, count, gripper={"depth": 0.1034})),
+        ("c.yaml", isaac(T, count, gripper_frame="/World/franka_panda")),
+    ):
+        found.append((Path(name).suffix, write(folder / name, content).read_bytes()))
+    return found
+
+
+def _acronym(folder: Path) -> list[tuple[str, bytes]]:
+    grasps = GraspSet.load(_MODEL / "grasps.npz").subset(np.arange(0, 200, 40))
+    T = hand_poses(grasps.T_object_tcp, 0.1034, Z_APPROACH_X_CLOSING)
+    write_acronym(folder / "grasps.h5", T, np.ones(len(grasps)))
+    return [(".h5", (folder / "grasps.h5").read_bytes())]
+
+
+def _read_foreign_grasps(path: Path) -> None:
+    """Put the grasps of a file on the bottle."""
+    usable_grasps(GraspSet.load(path), load_object("bottle"), load_end_effector("w"))
+
+
+def _scenes(folder: Path) -> list[tuple[str, bytes]]:
+    bodies = BODIES[:2] + BODIES[3:]
+    message = yaml.safe_dump(planning_scene([collision_object(body) for body in BODIES]))
+    texts = [(".scene", scene_text()), (".scene", scene_text(old=True)), (".yaml", message), (".xml", mjcf(bodies))]
+    return [(suffix, text.encode()) for suffix, text in texts]
+
+
+def _read_scene(path: Path) -> None:
+    as_obstacles(read_obstacles(path))
+
+
 _PLACEMENTS = np.array([np.eye(4), translation(0.0, 0.01, 0.1), np.diag([1.0, -1.0, -1.0, 1.0])])
 
 
@@ -202,6 +244,9 @@ TARGETS: dict[str, Target] = {
     "energy": Target(load_energy, _energies, (damage.damage_safetensors, damage.damage_bytes)),
     "report of a model": Target(_read_model, _reports, (damage.damage_json, damage.damage_text, damage.damage_bytes)),
     "grasp set": Target(GraspSet.load, _grasps, (damage.damage_arrays, damage.damage_arrays, damage.damage_bytes)),
+    "grasps of other tools": Target(_read_foreign_grasps, _foreign_grasps, (damage.damage_text, damage.damage_bytes)),
+    "grasps in HDF5": Target(_read_foreign_grasps, _acronym, (damage.damage_bytes,)),
+    "scene": Target(_read_scene, _scenes, (damage.damage_text, damage.damage_bytes)),
     "pose": Target(_read_pose, _poses, (damage.damage_text, damage.damage_bytes)),
     "command line": Target(run_command_line, command_lines, (damage.damage_words,)),
 }

@@ -11,10 +11,10 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-import scenes
+import scene_texts
 import trimesh
 import yaml
-from scenes import BODIES, Body, collision_object, mjcf, planning_scene, pose, scene_text
+from scene_texts import BODIES, Body, collision_object, mjcf, planning_scene, pose, scene_text
 from scipy.spatial.transform import Rotation
 
 from regrasp_opt.errors import OptionError, RegraspError, WorkcellError
@@ -205,8 +205,8 @@ def test_defaults_angles_and_nested_bodies_of_models_are_mujocos_business(
 def test_objects_of_several_shapes_and_what_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     both = collision_object(BODIES[0])
     both["primitives"].append({"type": 3, "dimensions": [0.4, 0.03]})
-    both["primitive_poses"].append(scenes.message_pose(BODIES[1].T))
-    both |= {"planes": [{"coef": [0, 0, 1, 0]}], "plane_poses": [scenes.message_pose(np.eye(4))]}
+    both["primitive_poses"].append(scene_texts.message_pose(BODIES[1].T))
+    both |= {"planes": [{"coef": [0, 0, 1, 0]}], "plane_poses": [scene_texts.message_pose(np.eye(4))]}
     held = {"link_name": "tool0", "object": collision_object(BODIES[3])}
     gone = {**collision_object(BODIES[3]), "operation": 1}
     content = planning_scene([both, gone], robot_state={"attached_collision_objects": [held]})
@@ -274,7 +274,9 @@ BROKEN = {
     "few.scene": (scene_text().replace("0.2 0.1 0.3", "0.2 0.3"), "object 'crate one' is not complete"),
     "more.scene": (scene_text().replace("\n1\nbox", "\n2\nbox", 1), "object 'crate one'"),
     "less.scene": (scene_text().replace("\n1\nbox", "\n0\nbox", 1), "object 'crate one' is not complete"),
-    "nan.scene": (scene_text().replace("0.2 0.1 0.3", "0.2 nan 0.3"), "object 'crate one' is not complete"),
+    "nan.scene": (scene_text().replace("0.2 0.1 0.3", "0.2 nan 0.3"), "is a box of dimensions [0.2, nan, 0.3]"),
+    "far.scene": (scene_text().replace("\n0.4 0.1 0.15", "\n400 0.1 1500.0"), "is 1.5e+03 m away; give metres"),
+    "count.scene": (scene_text().replace("mesh\n", f"mesh\n{10**30}"), "object 'bracket' is not complete"),
     "flat.scene": (scene_text().replace("0.2 0.1 0.3", "0.2 0.0 0.3"), "is a box of dimensions [0.2, 0.0, 0.3]"),
     "kind.scene": (scene_text().replace("\nbox", "\nprism"), "a shape of kind 'prism'; known: box, sphere"),
     "huge.scene": (scene_text().replace("mesh\n", "mesh\n9999999999"), "object 'bracket' is not complete"),
@@ -288,7 +290,7 @@ BROKEN = {
     "names.yaml": (_changed(primitives=[], primitive_poses=[]), "object 'crate one' has no shapes"),
     "type.yaml": (_changed(primitives=[{"type": 9, "dimensions": [1, 1, 1]}]), "a shape of kind '9'"),
     "size.yaml": (_changed(primitives=[{"type": 1, "dimensions": [1, 1]}]), "is a box of dimensions [1.0, 1.0]"),
-    "poses.yaml": (_changed(primitive_poses=2 * [scenes.message_pose(np.eye(4))]), "has 1 primitives and 2 poses"),
+    "poses.yaml": (_changed(primitive_poses=2 * [scene_texts.message_pose(np.eye(4))]), "has 1 primitives and 2 poses"),
     "short.yaml": (_changed(primitives=[{"type": 1, "dimensions": [1, 1, "..."]}]), "use --full-length"),
     "pose.yaml": (_changed(pose=[0, 0, 0]), "object 'crate one' is not a CollisionObject"),
     "move.yaml": (_changed(operation=3), "is only moved; give a whole scene"),
@@ -297,6 +299,7 @@ BROKEN = {
     "wrong.xml": ("<mujoco><worldbody><geom typ='box'/></worldbody></mujoco>", "unrecognized attribute: 'typ'"),
     "cut.xml": ("<mujoco><worldbody>", "cannot be read"),
     "empty.xml": ("<mujoco><worldbody><geom type='plane' size='1 1 1'/></worldbody></mujoco>", "has no obstacles"),
+    "nan.xml": ("<mujoco><worldbody><geom type='box' size='1 1 1' pos='nan 0 0'/></worldbody></mujoco>", "holds NaN"),
     "mesh.xml": ("<mujoco><asset><mesh name='m' file='m.obj'/></asset></mujoco>", "m.obj"),
     "field.xml": (
         "<mujoco><asset><hfield name='h' nrow='2' ncol='2' size='1 1 1 1'/></asset><worldbody>"
@@ -308,15 +311,17 @@ BROKEN = {
 
 @pytest.mark.parametrize("name", list(BROKEN))
 def test_broken_files_are_refused_with_one_sentence(
-    tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     content, said = BROKEN[name]
     caplog.set_level(logging.ERROR)
     if content is not None:
         saved(tmp_path / name, content)
+    monkeypatch.chdir(tmp_path)
     with pytest.raises(RegraspError) as caught:
         read_obstacles(tmp_path / name)
-    assert said in str(caught.value) and name in str(caught.value)
+    assert said in str(caught.value) and name in str(caught.value) and "\n" not in str(caught.value)
+    assert [path.name for path in tmp_path.iterdir()] == ([] if content is None else [name])  # nothing was left there
 
 
 def test_other_files_are_read_as_toml(tmp_path: Path) -> None:
