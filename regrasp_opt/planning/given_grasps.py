@@ -152,23 +152,24 @@ def _hint(grasps: GraspSet, body: ObjectModel, effector: EndEffector, near: Near
     source = grasps.source
     if source is None:
         return None
-    read_as = f"'{source.path}' was read in metres with the hand frame '{source.frame}'"
+    read_as = f"'{source.path}' was read with scale {source.scale:g} and the hand frame '{source.frame}'"
     middle, size = body.vertices.mean(axis=0), float(np.ptp(body.vertices, axis=0).max())
     T = grasps.T_object_tcp[:: max(1, len(grasps) // TRIED)]
     away = np.median(np.linalg.norm(T[:, :3, 3] - middle, axis=1))
     if away > 3 * size + 1.0:
+        scale = f"give scale (--grasp-scale) {1e-3 * source.scale:g}"
         return (
-            f"{read_as}, and half its grasps are {away:.3g} m or more from the object; give scale (--grasp-scale) 0.001"
+            f"{read_as}, and half its grasps are {away:.3g} m or more from the object; {scale} if it is in millimetres"
         )
+    best = _better_frame(T, hand_frame(source.frame), body, effector, near)
+    if best is not None:
+        return f"{read_as}; {best[1]} of {len(T)} that were tried hold with the frame '{best[0]}' (--grasp-frame)"
     if source.mesh_scale is not None and not np.isclose(source.mesh_scale, body.scale, rtol=1e-3):
         return (
             f"'{source.path}' is for the mesh '{source.mesh}' at scale {source.mesh_scale:g}, and '{body.name}' is "
             f"loaded at scale {body.scale:g}; give --scale {source.mesh_scale:g} if it is that mesh"
         )
-    best = _better_frame(T, hand_frame(source.frame), body, effector, near)
-    if best is None:
-        return f"{read_as}; check the object, its scale and origin, or give another frame (--grasp-frame)"
-    return f"{read_as}; {best[1]} of {len(T)} that were tried hold with the frame '{best[0]}' (--grasp-frame)"
+    return f"{read_as}; check the object, its scale and origin, or give another frame (--grasp-frame)"
 
 
 def _better_frame(
@@ -183,7 +184,7 @@ def _better_frame(
             others[str(frame)] = frame
     best, most, projector = None, 0, GraspProjector(body, effector)
     for name, frame in others.items():
-        count = int(_projected(T @ frame.T_hand_tcp, projector, near)[2].sum())
+        count = 0 if frame == mine else int(_projected(T @ frame.T_hand_tcp, projector, near)[2].sum())
         if count > most:
             best, most = name, count
     return None if best is None or most < CLEARLY * len(T) else (best, most)

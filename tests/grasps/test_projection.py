@@ -10,7 +10,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from regrasp_opt.end_effectors import load_end_effector
-from regrasp_opt.grasps import GraspSet, sample_grasps
+from regrasp_opt.grasps import Failure, GraspSet, sample_grasps
 from regrasp_opt.grasps.clearance import WIDENINGS
 from regrasp_opt.grasps.projection import SHIFT, GraspProjector, _central_pair
 from regrasp_opt.grasps.suction import NO_SEAL
@@ -154,3 +154,42 @@ def test_the_pair_of_crossings_nearest_to_the_middle_is_taken():
     assert _central_pair(distance, facing, 0.9, 0.1) == (0, 3)  # 0.5 mm off the middle; the narrowest is 6 mm off
     assert _central_pair(distance, facing, 0.9, 0.035) == (0, 2)
     assert _central_pair(distance, facing * 0.8, 0.9, 0.1) is None
+
+
+def _across(x: float, z: float) -> np.ndarray:
+    """Return a tool pose that approaches along -z and closes along y, its TCP at (x, 0, z) [m]."""
+    T = np.diag([-1.0, 1.0, -1.0, 1.0])
+    T[:3, 3] = x, 0.0, z
+    return T
+
+
+@pytest.mark.parametrize(
+    ("mesh", "T", "failure"),
+    [
+        (PLATE.mesh, _across(0.0, 0.30), Failure.NOTHING_HELD),
+        (PLATE.mesh, _across(0.4, 0.14), Failure.NOTHING_HELD),
+        (trimesh.creation.box(extents=(0.3, 0.2, 0.3)), _across(0.0, 0.14), Failure.TOO_WIDE),
+        (
+            trimesh.convex.convex_hull([[x, y, z] for x in (-0.1, 0.1) for y, z in ((-0.1, 0), (0.1, 0), (0, 0.045))]),
+            _across(0.0, 0.04),
+            Failure.SLIPS,
+        ),
+        (PLATE.mesh, _across(0.0, 0.05), Failure.OVERLAP),
+    ],
+    ids=["above", "beside", "wide", "roof", "deep"],
+)
+def test_why_a_jaw_does_not_settle(mesh: trimesh.Trimesh, T: np.ndarray, failure: Failure) -> None:
+    projector = GraspProjector(ObjectModel("part", mesh, ()), load_end_effector("w"))
+    assert len(projector.settle(T)[0]) == 0
+    assert projector.failures(T) == [failure]
+
+
+def test_why_a_cup_does_not_settle() -> None:
+    trough = trimesh.boolean.difference(
+        [trimesh.creation.box(extents=(0.3, 0.3, 0.3)), trimesh.creation.box(bounds=[[-0.018, -1, 0], [0.018, 1, 1]])],
+        engine="manifold",
+    )
+    projector = GraspProjector(ObjectModel("trough", trough, ()), load_end_effector("s1"))
+    poses = np.array([_across(0.08, 0.25), _across(0.15 - 1e-3, 0.15), _across(0.0, 0.0)])
+    assert projector.failures(poses, NO_SEAL - 1) == [Failure.NO_CONTACT, Failure.LEAKS, Failure.OVERLAP]
+    assert len(projector.settle(poses, NO_SEAL - 1)[0]) == 0

@@ -124,7 +124,9 @@ def test_millimetres_that_are_small_are_found_on_the_object(given, tmp_path):
     T = given[0].copy()
     T[:, :3, 3] *= 60.0
     path = write(tmp_path / "bottle.json", grasp_files.acronym_json(T, np.ones(len(T))))
-    with pytest.raises(GraspError, match=r"m or more from the object; give scale \(--grasp-scale\) 0\.001"):
+    with pytest.raises(
+        GraspError, match=r"from the object; give scale \(--grasp-scale\) 0\.001 if it is in millimetres"
+    ):
         load(GraspSet.load(path, frame="tcp"))
 
 
