@@ -7,7 +7,7 @@ In both an object has shapes, with poses in the frame of the object. A message n
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,9 @@ PRIMITIVES = {1: "box", 2: "sphere", 3: "cylinder", 4: "cone"}
 
 POSES = {"primitives": "primitive_poses", "meshes": "mesh_poses", "planes": "plane_poses"}
 """Lists of shapes in a message, and of their poses."""
+
+FIELDS = {"header", "pose", "id", "type", "subframe_names", "subframe_poses", "operation", *POSES, *POSES.values()}
+"""What a ``moveit_msgs/msg/CollisionObject`` has: a misspelt pose must not be taken for none."""
 
 SIZES = {"box": 3, "sphere": 1, "cylinder": 2, "cone": 2, "plane": 4, "mesh": 0}
 """How many numbers say how large each kind of shape is."""
@@ -142,6 +145,7 @@ def read_scene_yaml(path: Path, known: dict[str, FloatArray]) -> list[Shape]:
 
 
 def _read_message(reader: _Shapes, name: str, message: dict[str, Any], known: dict[str, FloatArray]) -> None:
+    reader.know(message, FIELDS, name)
     operation = message.get("operation", ADD)
     operation = ord(operation) if isinstance(operation, (str, bytes)) else operation
     if operation == REMOVE:
@@ -210,10 +214,18 @@ class _Shapes:
     def message_pose(self, pose: Any, name: str) -> FloatArray:
         """Return the pose (4, 4) of a ``geometry_msgs/msg/Pose``; what is missing in it is zero."""
         position, turn = ((pose or {}).get(key) or {} for key in ("position", "orientation"))
+        for part, fields in ((pose or {}, ("position", "orientation")), (position, "xyz"), (turn, "xyzw")):
+            self.know(part, fields, name)
         numbers = np.array(
             [float(part.get(axis, 0.0)) for part, axes in ((position, "xyz"), (turn, "xyzw")) for axis in axes]
         )
         return self.pose(numbers[:3], numbers[3:], name)
+
+    def know(self, part: dict[str, Any], fields: Collection[str], name: str) -> None:
+        """Raise a WorkcellError if a `part` of a message has a key that is none of its `fields`."""
+        wrong = next((key for key in part if key not in fields), None)
+        if wrong is not None:
+            raise WorkcellError(f"scene {self.path}: object '{name}' has the unknown key '{wrong}'; correct it")
 
     def unknown(self, name: str, kind: str) -> int:
         """Raise a WorkcellError about a shape of an unknown kind."""

@@ -293,6 +293,8 @@ BROKEN = {
     "poses.yaml": (_changed(primitive_poses=2 * [scene_texts.message_pose(np.eye(4))]), "has 1 primitives and 2 poses"),
     "short.yaml": (_changed(primitives=[{"type": 1, "dimensions": [1, 1, "..."]}]), "use --full-length"),
     "pose.yaml": (_changed(pose=[0, 0, 0]), "object 'crate one' is not a CollisionObject"),
+    "key.yaml": (_changed(primitive_pose=[]), "object 'crate one' has the unknown key 'primitive_pose'"),
+    "axis.yaml": (_changed(pose={"position": {"x": 1, "w": 2}}), "has the unknown key 'w'"),
     "move.yaml": (_changed(operation=3), "is only moved; give a whole scene"),
     "frame.yaml": ([collision_object(BODIES[0], "camera")], "is in the frame 'camera', and known are 'world'"),
     "urdf.xml": ('<robot name="arm"><link name="base"/></robot>', "it has no <mujoco>; give an MJCF file"),
