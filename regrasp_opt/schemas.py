@@ -38,29 +38,17 @@ def ascending(interval: tuple[float, float]) -> tuple[float, float]:
     return interval
 
 
-def read_toml(text: str, schema: type[File], where: str) -> File:
-    """Return the TOML document `text` as `schema`; every message begins with `where` it comes from.
-
-    Raises
-    ------
-    WorkcellError
-        If it is not valid TOML or does not fit the schema.
-    """
-    return validated(parse_toml(text, where), schema, where, WorkcellError)
+def read_toml(text: str, schema: type[File], where: str, error_type: type[RegraspError] = WorkcellError) -> File:
+    """Return the TOML document `text` as `schema`, or raise an `error_type` that begins with `where` it comes from."""
+    return validated(parse_toml(text, where, error_type), schema, where, error_type)
 
 
-def parse_toml(text: str, where: str) -> dict[str, Any]:
-    """Return the TOML document `text`, which comes from `where`.
-
-    Raises
-    ------
-    WorkcellError
-        If it is not valid TOML.
-    """
+def parse_toml(text: str, where: str, error_type: type[RegraspError] = WorkcellError) -> dict[str, Any]:
+    """Return the TOML document `text`, or raise an `error_type` that begins with `where` it comes from."""
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        raise WorkcellError(f"{where} is not valid TOML: {error}") from error
+        raise error_type(f"{where} is not valid TOML: {error}") from error
 
 
 def read_json(path: Path, what: str, error_type: type[RegraspError] = PlanFileError) -> Any:

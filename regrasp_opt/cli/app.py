@@ -127,6 +127,10 @@ def plan(
     scale: options.ScaleOption = 1.0,
     repair: options.RepairOption = False,
     thickness: options.ThicknessOption = None,
+    mass: options.MassOption = None,
+    density: options.DensityOption = None,
+    center_of_mass: options.CenterOption = None,
+    inertia: options.InertiaOption = None,
     out: Annotated[Path | None, typer.Option(help="Save the plan as JSON.")] = None,
     html: Annotated[Path | None, typer.Option(help="Save a page that shows the plan.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the plan as one JSON object.")] = False,
@@ -147,7 +151,7 @@ def plan(
     from regrasp_opt.planning import RegraspProblem
 
     given = given_grasps(grasps, grasp_frame, grasp_scale, grasp_quality, grasp_near)
-    given |= {"scale": scale, "repair": repair, "thickness": thickness}
+    given |= options.of_object(scale, repair, thickness, mass, density, center_of_mass, inertia)
     problem = RegraspProblem.load(object, workcell, end_effector=end_effector, model=model, **given)
     if obstacles is not None:
         problem = problem.with_obstacles(read_obstacles(obstacles, problem.workcell, frame=obstacle_frame))
@@ -188,6 +192,10 @@ def prepare(
     scale: options.ScaleOption = 1.0,
     repair: options.RepairOption = False,
     thickness: options.ThicknessOption = None,
+    mass: options.MassOption = None,
+    density: options.DensityOption = None,
+    center_of_mass: options.CenterOption = None,
+    inertia: options.InertiaOption = None,
     out: Annotated[Path | None, typer.Option(help="File (or folder, of an object's model) to write.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the report as one JSON object.")] = False,
 ) -> int:
@@ -202,7 +210,8 @@ def prepare(
     regrasp-opt prepare nova2-w --object part.stl
     """
     of_grasps = ("grasps", "grasp_frame", "grasp_scale", "grasp_quality", "grasp_near")
-    foreign = ("samples", *of_grasps, "scale", "repair", "thickness") if object is None else ("poses",)
+    of_object = ("scale", "repair", "thickness", "mass", "density", "center_of_mass", "inertia")
+    foreign = ("samples", *of_grasps, *of_object) if object is None else ("poses",)
     given = next((name.replace("_", "-") for name in foreign if _was_given(context, name)), None)
     if given is not None:
         other = "an arm; omit it, or give --object" if object is None else "an object; omit it, or omit --object"
@@ -216,7 +225,7 @@ def prepare(
     if object is None:
         return run_prepare(cell, json, poses=poses, out=out, seed=seed, jobs=jobs)
     interrupts.resumable()
-    body = load_object(object, scale=scale, repair=repair, thickness=thickness)
+    body = load_object(object, **options.of_object(scale, repair, thickness, mass, density, center_of_mass, inertia))
     candidates = given_grasps(grasps, grasp_frame, grasp_scale, grasp_quality, grasp_near)
     return run_prepare_object(body, cell, json, samples=samples, out=out, seed=seed, jobs=jobs, **candidates)
 
@@ -234,6 +243,10 @@ def inspect(
     scale: options.ScaleOption = 1.0,
     repair: options.RepairOption = False,
     thickness: options.ThicknessOption = None,
+    mass: options.MassOption = None,
+    density: options.DensityOption = None,
+    center_of_mass: options.CenterOption = None,
+    inertia: options.InertiaOption = None,
     html: Annotated[Path | None, typer.Option(help="Write a page that shows the workcell and the object.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the description as one JSON object.")] = False,
 ) -> int:
@@ -249,8 +262,8 @@ def inspect(
 
     if html is not None or (workcell is None and object is None):
         workcell, object = workcell or "nova2-w", object or "bottle"
-    mesh, cell = {"scale": scale, "repair": repair, "thickness": thickness}, {"end_effector": end_effector}
-    return run_inspect(workcell, object, mesh, cell, html=html, as_json=json)
+    mesh = options.of_object(scale, repair, thickness, mass, density, center_of_mass, inertia)
+    return run_inspect(workcell, object, mesh, {"end_effector": end_effector}, html=html, as_json=json)
 
 
 @app.command()

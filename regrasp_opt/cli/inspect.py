@@ -145,14 +145,18 @@ def _show_robot(console: Console, robot: dict[str, Any]) -> None:
 
 
 def _show_object(console: Console, model: dict[str, Any]) -> None:
-    changes = model["changes"]
+    changes, given = model["changes"], model["mass_properties_given"]
+    mass = model["mass"] or model["volume"] * 1e3
+    assumed = "" if model["mass"] else " at the density of water"
+    center = "as given" if "center_of_mass" in given else "at uniform density"
+    inertia = "inertia as given" if "inertia" in given else "at uniform density"
     _heading(console, f"object {model['name']}", model["source"])
     _facts(
         console,
         ("size", f"{_mm(*model['size'])}, scale {model['scale']:g}, {model['faces']} faces"),
-        ("volume", f"{1e6 * model['volume']:.1f} cm3, {model['volume'] * 1e3:.3f} kg at the density of water"),
-        ("centre of mass", f"{_mm(*model['center_of_mass'], by=', ')} in the frame of the mesh, at uniform density"),
-        ("radii of gyration", f"{_mm(*model['radii_of_gyration'], by=', ')} about the principal axes"),
+        ("volume", f"{1e6 * model['volume']:.1f} cm3, {mass:.3f} kg{assumed}"),
+        ("centre of mass", f"{_mm(*model['center_of_mass'], by=', ')} in the frame of the mesh, {center}"),
+        ("radii of gyration", f"{_mm(*model['radii_of_gyration'], by=', ')} about the principal axes, {inertia}"),
         ("changes", "none" if changes is None else Changes(**changes).sentence()),
     )
 

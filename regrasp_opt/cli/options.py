@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from regrasp_opt.cli.completion import OBJECTS, names, stored
+from regrasp_opt.errors import OptionError
 
 ObjectOption = Annotated[
     str,
@@ -42,3 +44,67 @@ GraspQualityOption = Annotated[float | None, typer.Option(help="Least quality of
 GraspNearOption = Annotated[
     str, typer.Option(metavar="METRES,DEGREES", help="How far a grasp without a width may be moved onto the object.")
 ]
+PoseOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="POSE",
+        help="\\[SUPPORT/]PLACEMENT:x,y,yaw_deg, FIXTURE/POSE, or JSON, also in a file: a 4x4 matrix, or position and "
+        "quaternion_xyzw (or wxyz).",
+    ),
+]
+ToleranceOption = Annotated[
+    str, typer.Option(metavar="M,DEG", help="How far start and goal may be from rest \\[m, degrees].")
+]
+SymmetryOption = Annotated[
+    bool, typer.Option("--symmetry", help="Goals that differ by a turn about the object's axis of symmetry are equal.")
+]
+MassOption = Annotated[float | None, typer.Option(help="Mass of the object \\[kg].")]
+DensityOption = Annotated[float | None, typer.Option(help="Or its density \\[kg/m^3].")]
+CenterOption = Annotated[
+    str | None, typer.Option("--center-of-mass", metavar="X,Y,Z", help="Its centre of mass, in the mesh's frame \\[m].")
+]
+InertiaOption = Annotated[
+    str | None,
+    typer.Option(metavar="XX,XY,XZ,YY,YZ,ZZ", help="Its inertia about the centre of mass, mesh's axes \\[kg m^2]."),
+]
+
+
+def of_object(
+    scale: float,
+    repair: bool,
+    thickness: float | None,
+    mass: float | None,
+    density: float | None,
+    center_of_mass: str | None,
+    inertia: str | None,
+) -> dict[str, Any]:
+    """Return the options of `load_object`.
+
+    Raises
+    ------
+    OptionError
+        If `center_of_mass` is not three numbers, or `inertia` not six.
+    """
+    center = None if center_of_mass is None else _numbers("center-of-mass", center_of_mass, 3)
+    options = {"scale": scale, "repair": repair, "thickness": thickness, "mass": mass, "density": density}
+    rows = None
+    if inertia is not None:
+        xx, xy, xz, yy, yz, zz = _numbers("inertia", inertia, 6)
+        rows = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+    return {**options, "center_of_mass": center, "inertia": rows}
+
+
+def tolerance_of(text: str) -> tuple[float, float]:
+    """Return a distance [m] and an angle [rad] that are typed in metres and degrees."""
+    distance, degrees = _numbers("tolerance", text, 2)
+    return distance, math.radians(degrees)
+
+
+def _numbers(option: str, text: str, count: int) -> list[float]:
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count:
+        raise OptionError(f"--{option} is '{text}'; give {count} numbers with commas between them")
+    return numbers

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import trimesh
+from numpy.typing import ArrayLike
 
 from regrasp_opt.conventions import FloatArray, IntArray
 from regrasp_opt.errors import OptionError, UnknownNameError
@@ -18,6 +19,7 @@ from regrasp_opt.geometry.mesh_files import MESH_SUFFIXES
 from regrasp_opt.geometry.shapes import mesh_geometry
 from regrasp_opt.geometry.solids import Solid
 from regrasp_opt.objects.builtin import OBJECT_NAMES, build
+from regrasp_opt.objects.mass import NOTHING_GIVEN, SAME, MassProperties, mass_properties
 from regrasp_opt.objects.mesh import LARGEST, SMALLEST, read_mesh
 from regrasp_opt.objects.placements import Placement, stable_placements
 from regrasp_opt.objects.rolling import Hull
@@ -25,7 +27,7 @@ from regrasp_opt.objects.rolling import Hull
 
 @dataclass(frozen=True, eq=False)
 class ObjectModel:
-    """A rigid solid of uniform density, of one body or several that keep their places.
+    """A rigid solid, of one body or several that keep their places; of uniform density unless told otherwise.
 
     Attributes
     ----------
@@ -39,6 +41,8 @@ class ObjectModel:
         ``"built-in"`` or the path of the file.
     scale, repair, thickness
         What `load_object` was told, so that the same object can be loaded again.
+    given : MassProperties
+        What was given of the mass properties, as arguments or in the file beside the mesh.
     """
 
     name: str
@@ -48,6 +52,7 @@ class ObjectModel:
     scale: float = 1.0
     repair: bool = False
     thickness: float | None = None
+    given: MassProperties = NOTHING_GIVEN
 
     @cached_property
     def vertices(self) -> FloatArray:
@@ -66,7 +71,22 @@ class ObjectModel:
     @cached_property
     def center_of_mass(self) -> FloatArray:
         """Centre of mass (3,) in the object frame [m]."""
-        return np.array(self.mesh.center_mass, dtype=np.float64)
+        return _center_of_mass(self.mesh, self.given)
+
+    @property
+    def mass(self) -> float | None:
+        """Mass [kg]; None where neither it nor a density was given."""
+        return self.given.mass or (self.given.density and self.given.density * float(self.mesh.volume))
+
+    @property
+    def inertia(self) -> FloatArray | None:
+        """Inertia (3, 3) about the centre of mass, along the axes of the object frame [kg m^2]; None without a mass.
+
+        Where none was given it is that of uniform density about its own centre.
+        """
+        if self.given.inertia is not None:
+            return np.array(self.given.inertia, dtype=np.float64)
+        return None if self.mass is None else np.array(self.mesh.moment_inertia * (self.mass / self.mesh.mass))
 
     @cached_property
     def solid(self) -> Solid:
@@ -89,15 +109,27 @@ class ObjectModel:
 
     @cached_property
     def _fingerprint(self) -> str:
-        return content_hash("object", self.vertices, self.faces)
+        uniform = np.array_equal(self.center_of_mass, self.mesh.center_mass)
+        return content_hash("object", self.vertices, self.faces, *(() if uniform else (self.center_of_mass,)))
 
     def fingerprint(self) -> str:
-        """Return a hash of the vertices and faces; name and source are not part of it."""
+        """Return a hash of what decides feasibility: vertices, faces, and a centre of mass that is not the uniform one.
+
+        Name and source are not part of it, nor are mass and inertia.
+        """
         return self._fingerprint
 
 
 def load_object(
-    name_or_path: str | os.PathLike[str], *, scale: float = 1.0, repair: bool = False, thickness: float | None = None
+    name_or_path: str | os.PathLike[str],
+    *,
+    scale: float = 1.0,
+    repair: bool = False,
+    thickness: float | None = None,
+    mass: float | None = None,
+    density: float | None = None,
+    center_of_mass: ArrayLike | None = None,
+    inertia: ArrayLike | None = None,
 ) -> ObjectModel:
     """Return a built-in object by name, or any other from the path of its mesh file.
 
@@ -114,6 +146,13 @@ def load_object(
         Repair the file's mesh where that can be done safely; a warning says what was changed.
     thickness : float, optional
         Thickness that sheets, surfaces that enclose nothing, are given [m].
+    mass, density : float, optional
+        Mass [kg], or mass over the volume of the mesh [kg/m^3].
+    center_of_mass : (3,), optional
+        In the object frame [m]; that of uniform density by default. Placements and margins follow it.
+    inertia : (3, 3), optional
+        About the centre of mass, along the axes of the object frame [kg m^2]; needs a mass or density. All four may be
+        in a TOML file beside the mesh instead (`regrasp_opt.objects.mass`).
 
     Raises
     ------
@@ -122,21 +161,35 @@ def load_object(
     MeshError
         If the file cannot be read or holds no solid of a plausible size; names the repair where there is one.
     OptionError
-        If `scale` or `thickness` is not a positive number, or makes no sense for the object.
+        If `scale` or `thickness` is not a positive number, or makes no sense for the object; if mass properties are
+        not those of a rigid body there, or the file beside the mesh is wrong or says something else.
     """
+    given = {"mass": mass, "density": density, "center_of_mass": center_of_mass, "inertia": inertia}
+    path: Path | None
     if isinstance(name_or_path, str) and name_or_path in OBJECT_NAMES:
         if thickness is not None:
             raise OptionError(f"the built-in {name_or_path} has no open sheet; omit the thickness")
-        return _built_in(name_or_path, scale)
-    path = Path(name_or_path)
-    is_bare = isinstance(name_or_path, str) and path.name == name_or_path and not os.path.isfile(path)
-    if is_bare and path.suffix.lower() not in MESH_SUFFIXES:
-        raise UnknownNameError("object", str(name_or_path), OBJECT_NAMES)
-    mesh = read_mesh(path, scale=scale, repair=repair, thickness=thickness)
-    return ObjectModel(path.stem, mesh, stable_placements(mesh), str(path), scale, repair, thickness)
+        name, path, mesh = name_or_path, None, _built_in(name_or_path, scale)
+    else:
+        name, path = Path(name_or_path).stem, Path(name_or_path)
+        is_bare = isinstance(name_or_path, str) and path.name == name_or_path and not os.path.isfile(path)
+        if is_bare and path.suffix.lower() not in MESH_SUFFIXES:
+            raise UnknownNameError("object", str(name_or_path), OBJECT_NAMES)
+        mesh = read_mesh(path, scale=scale, repair=repair, thickness=thickness)
+    known = mass_properties(given, mesh, path, name)
+    placements = stable_placements(mesh, center_of_mass=_center_of_mass(mesh, known))
+    source = "built-in" if path is None else str(path)
+    return ObjectModel(name, mesh, placements, source, scale, repair, thickness, known)
 
 
-def _built_in(name: str, scale: float) -> ObjectModel:
+def _center_of_mass(mesh: trimesh.Trimesh, given: MassProperties) -> FloatArray:
+    """Return the centre of mass that was given (3,), or that of uniform density where the two are the same."""
+    uniform = np.array(mesh.center_mass, dtype=np.float64)
+    center = uniform if given.center_of_mass is None else np.array(given.center_of_mass)
+    return uniform if np.abs(center - uniform).max() <= SAME else center
+
+
+def _built_in(name: str, scale: float) -> trimesh.Trimesh:
     if not (np.isfinite(scale) and scale > 0):
         raise OptionError(f"scale is {scale}; give a positive number")
     mesh = build(name)
@@ -146,6 +199,4 @@ def _built_in(name: str, scale: float) -> ObjectModel:
             f"scale is {scale} and makes the {name} {extent:.3g} m long; give one that makes it {SMALLEST:g} to "
             f"{LARGEST:g} m long"
         )
-    if scale != 1.0:
-        mesh = trimesh.Trimesh(mesh.vertices * scale, mesh.faces, process=False)
-    return ObjectModel(name, mesh, stable_placements(mesh), scale=scale)
+    return mesh if scale == 1.0 else trimesh.Trimesh(mesh.vertices * scale, mesh.faces, process=False)

@@ -57,8 +57,10 @@ class RejectedPlacement(NamedTuple):
     reason: Literal["rolls", "margin"]
 
 
-def stable_placements(mesh: trimesh.Trimesh, min_margin: float = LEAST_MARGIN) -> tuple[Placement, ...]:
-    """Return the placements of a solid of uniform density whose margin is at least `min_margin`.
+def stable_placements(
+    mesh: trimesh.Trimesh, min_margin: float = LEAST_MARGIN, center_of_mass: FloatArray | None = None
+) -> tuple[Placement, ...]:
+    """Return the placements of a solid whose margin is at least `min_margin`.
 
     They are ordered by decreasing margin; equal ones by the direction of their support in the object frame. The
     result does not depend on how the surface is triangulated.
@@ -69,32 +71,38 @@ def stable_placements(mesh: trimesh.Trimesh, min_margin: float = LEAST_MARGIN) -
         A watertight mesh [m].
     min_margin : float
         Smallest relative stability margin that counts as stable.
+    center_of_mass : (3,), optional
+        In the frame of the mesh [m]; that of uniform density by default.
 
     Raises
     ------
     MeshError
         If the mesh is flat, so that it has no convex hull.
     """
-    facets = _Facets.of(mesh, min_margin)
+    center = mesh.center_mass if center_of_mass is None else center_of_mass
+    facets = _Facets.of(mesh, min_margin, center)
     found, taken = [], np.zeros(len(facets.margins), dtype=bool)
     for rest, margin in facets.rests(min_margin):
         if taken[rest] or facets.hull.rolls(rest):
             continue
         taken[facets.hull.neighbors(rest)] = True
         normal = facets.hull.normals[rest]
-        found.append((Placement(_resting_pose(mesh, rotation_to_down(normal)), margin), normal))
+        found.append((Placement(_resting_pose(mesh, rotation_to_down(normal), center), margin), normal))
     return _ordered(found)
 
 
-def rejected_placements(mesh: trimesh.Trimesh, min_margin: float = LEAST_MARGIN) -> tuple[RejectedPlacement, ...]:
+def rejected_placements(
+    mesh: trimesh.Trimesh, min_margin: float = LEAST_MARGIN, center_of_mass: FloatArray | None = None
+) -> tuple[RejectedPlacement, ...]:
     """Return the other ways in which the solid can rest, by decreasing margin; parameters and errors as above."""
-    facets = _Facets.of(mesh, _NO_MARGIN)
+    center = mesh.center_mass if center_of_mass is None else center_of_mass
+    facets = _Facets.of(mesh, _NO_MARGIN, center)
     found = []
     for rest, margin in facets.rests(_NO_MARGIN):
         rolls = facets.hull.rolls(rest)
         if rolls or margin < min_margin:
-            placement = Placement(_resting_pose(mesh, rotation_to_down(facets.hull.normals[rest])), margin)
-            found.append(RejectedPlacement(placement, "rolls" if rolls else "margin"))
+            pose = _resting_pose(mesh, rotation_to_down(facets.hull.normals[rest]), center)
+            found.append(RejectedPlacement(Placement(pose, margin), "rolls" if rolls else "margin"))
     return tuple(found)
 
 
@@ -110,8 +118,8 @@ class _Facets(NamedTuple):
     margins: FloatArray
 
     @staticmethod
-    def of(mesh: trimesh.Trimesh, least: float) -> _Facets:
-        points = np.asarray(mesh.vertices, dtype=np.float64) - mesh.center_mass
+    def of(mesh: trimesh.Trimesh, least: float, center_of_mass: FloatArray) -> _Facets:
+        points = np.asarray(mesh.vertices, dtype=np.float64) - center_of_mass
         try:
             hull = Hull(points)
         except QhullError as error:
@@ -178,10 +186,10 @@ def _inner_distance(points: FloatArray, normal: FloatArray) -> float:
         return -np.inf
 
 
-def _resting_pose(mesh: trimesh.Trimesh, rotation: FloatArray) -> FloatArray:
+def _resting_pose(mesh: trimesh.Trimesh, rotation: FloatArray, center_of_mass: FloatArray) -> FloatArray:
     pose = np.eye(4)
     pose[:3, :3] = rotation
-    pose[:3, 3] = -rotation @ mesh.center_mass
+    pose[:3, 3] = -rotation @ center_of_mass
     pose[2, 3] = -(np.asarray(mesh.vertices) @ rotation[2]).min()
     return pose
 

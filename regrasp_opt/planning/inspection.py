@@ -125,10 +125,12 @@ def _describe_end_effector(workcell: Workcell) -> Data:
 
 
 def describe_object(model: ObjectModel) -> Data:
-    """Return size, mass properties at uniform density, what was changed, and the ways of resting of `model`."""
+    """Return size, mass properties, what was changed, and the ways of resting of `model`."""
     mesh = model.mesh
-    radii = np.sqrt(np.sort(mesh.principal_inertia_components) / mesh.mass)
-    rejected = rejected_placements(mesh)
+    radii = np.sqrt(np.linalg.eigvalsh(mesh.moment_inertia) / mesh.mass)
+    if model.mass is not None and model.inertia is not None:
+        radii = np.sqrt(np.linalg.eigvalsh(model.inertia) / model.mass)
+    rejected = rejected_placements(mesh, center_of_mass=model.center_of_mass)
     return {
         "name": model.name,
         "source": model.source,
@@ -138,6 +140,9 @@ def describe_object(model: ObjectModel) -> Data:
         "faces": len(mesh.faces),
         "volume": float(mesh.volume),
         "center_of_mass": model.center_of_mass.tolist(),
+        "mass": model.mass,
+        "inertia": None if model.inertia is None else model.inertia.tolist(),
+        "mass_properties_given": sorted(model.given.given()),
         "radii_of_gyration": radii.tolist(),
         "repair": model.repair,
         "thickness": model.thickness,

@@ -12,6 +12,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from regrasp_opt.energy.model import EnergyModel
 from regrasp_opt.energy.storage import load_energy
 from regrasp_opt.errors import ModelError
@@ -139,4 +141,7 @@ def command_arguments(body: ObjectModel, workcell: Workcell) -> str:
         parts.append("--repair")
     if body.thickness is not None:
         parts += ["--thickness", f"{body.thickness:g}"]
+    for key, value in body.given.given().items():
+        numbers = np.ravel(value)[[0, 1, 2, 4, 5, 8]] if key == "inertia" else np.ravel(value)
+        parts += [f"--{key.replace('_', '-')}", ",".join(str(number) for number in numbers.tolist())]
     return shlex.join(parts)

@@ -12,10 +12,11 @@ import numpy as np
 from pydantic import Field
 
 from regrasp_opt.conventions import IntArray, as_pose
-from regrasp_opt.errors import PlanFileError, PoseError
+from regrasp_opt.errors import OptionError, PlanFileError, PoseError
 from regrasp_opt.files import atomic_path
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import load_object
+from regrasp_opt.objects.mass import NOTHING_GIVEN, MassProperties
 from regrasp_opt.planning.model_store import find_model
 from regrasp_opt.planning.plan_data import PlanData, Status, Transition
 from regrasp_opt.planning.problem import RegraspProblem, assemble
@@ -47,6 +48,7 @@ class _Object(Reference):
     scale: float = 1.0
     repair: bool = False
     thickness: float | None = None
+    mass_properties: MassProperties = NOTHING_GIVEN
 
 
 class _Workcell(SceneRecord):
@@ -135,7 +137,8 @@ def plan_content(plan: PlanData) -> dict[str, Any]:
         "seed": plan.seed,
         "refiner_stats": plan.refiner_stats,
         "object": reference(body, body.source)
-        | {"scale": body.scale, "repair": body.repair, "thickness": body.thickness},
+        | {"scale": body.scale, "repair": body.repair, "thickness": body.thickness}
+        | ({"mass_properties": body.given.given()} if body.given.given() else {}),
         "workcell": {
             "source": absolute(cell.source),
             "name": cell.name,
@@ -200,9 +203,16 @@ def _parse(raw: Any, path: Path) -> _File:
 def _problem(content: _File, path: Path) -> RegraspProblem:
     what = content.object
     name = what.name if what.source == "built-in" else what.source
-    body = load_object(name, scale=what.scale, repair=what.repair, thickness=what.thickness)
-    if body.fingerprint() != what.fingerprint:
-        raise PlanFileError(f"the object '{what.name}' has changed since the plan '{path}' was made; plan again")
+    given, changed = (
+        what.mass_properties.given(),
+        f"the object '{what.name}' has changed since the plan '{path}' was made",
+    )
+    try:
+        body = load_object(name, scale=what.scale, repair=what.repair, thickness=what.thickness, **given)
+    except OptionError as error:
+        raise PlanFileError(f"{changed}: {error}") from error
+    if body.fingerprint() != what.fingerprint or body.given.given() != given:
+        raise PlanFileError(f"{changed}; plan again")
     cell = _unchanged_cell(content.workcell, path)
     try:
         T = np.array([as_pose(g.T_object_tcp, f"grasp {i}") for i, g in enumerate(content.grasps)])

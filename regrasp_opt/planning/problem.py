@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from numpy.typing import ArrayLike
+
 from regrasp_opt.connectivity import CostOptions
-from regrasp_opt.errors import GraspError, UnknownNameError, WorkcellError
+from regrasp_opt.errors import GraspError, OptionError, UnknownNameError, WorkcellError
 from regrasp_opt.geometry.shapes import Shape
 from regrasp_opt.grasps import GraspSet, sample_grasps
 from regrasp_opt.objects import ObjectModel, Placement, load_object
@@ -64,6 +66,10 @@ class RegraspProblem(ProblemData):
         scale: float = 1.0,
         repair: bool = False,
         thickness: float | None = None,
+        mass: float | None = None,
+        density: float | None = None,
+        center_of_mass: ArrayLike | None = None,
+        inertia: ArrayLike | None = None,
         preset: Literal["default", "paper"] = "default",
     ) -> RegraspProblem:
         """Load a problem by names or paths.
@@ -86,8 +92,8 @@ class RegraspProblem(ProblemData):
             grasp ids of plans number the rest. Grasps of a `model` that is named are tested as well.
         near : Near
             How far grasps without widths may be moved and turned to hold the object, which finds their widths.
-        scale, repair, thickness
-            Same as in `load_object`.
+        scale, repair, thickness, mass, density, center_of_mass, inertia
+            Same as in `load_object`; not for an object that is loaded already.
         preset : {"default", "paper"}
             Which of the prepared energies to plan with.
 
@@ -102,10 +108,15 @@ class RegraspProblem(ProblemData):
         """
         if preset not in ENERGY_FILES:
             raise UnknownNameError("preset", preset, ENERGY_FILES)
+        how: dict[str, Any] = {"scale": scale, "repair": repair, "thickness": thickness, "mass": mass}
+        how |= {"density": density, "center_of_mass": center_of_mass, "inertia": inertia}
         if isinstance(object, ObjectModel):
+            told = [k for k, v in how.items() if v is not None and v is not False and (k, v) != ("scale", 1.0)]
+            if told:
+                raise OptionError(f"'{object.name}' is loaded already; give {told[0]} to load_object instead")
             body = object
         else:
-            body = load_object(object, scale=scale, repair=repair, thickness=thickness)
+            body = load_object(object, **how)
         if not isinstance(workcell, Workcell):
             workcell = load_workcell(workcell, end_effector=end_effector)
         if not len(Rests.of(body, workcell)):

@@ -42,6 +42,8 @@ class PlanVerifier:
         self.cell = cell or read_cell(content["workcell"])
         self.world = World(self.cell, *(mesh or read_object(content["object"])))
         self.solid = self.world.object_solid
+        given = (content or {}).get("object", {}).get("mass_properties", {})
+        self.center_of_mass = np.array(given.get("center_of_mass", self.solid.center_of_mass))
         self.test(self._required_pairs())
         self._held: dict[tuple, str | None] = {}
 
@@ -115,7 +117,7 @@ class PlanVerifier:
         support = points[points[:, 2] <= max(points[:, 2].min() + MISS, table["height"] + tolerance), :2]
         if (np.abs(support - table["center"]) > np.array(table["size"]) / 2 + MISS).any():
             wrong.append("it stands over the edge of the table")
-        center = T[:3, :3] @ self.solid.center_of_mass + T[:3, 3]
+        center = T[:3, :3] @ self.center_of_mass + T[:3, 3]
         if not _in_hull(center[:2], support):
             wrong.append("it would tip over")
         for value, axis in zip(center, "xy", strict=False):

@@ -15,6 +15,7 @@ import trimesh
 from regrasp_opt.conventions import FloatArray, invert, rpy_angles
 from regrasp_opt.files import atomic_path
 from regrasp_opt.geometry.shapes import Box, Cylinder, Shape
+from regrasp_opt.objects import ObjectModel
 from regrasp_opt.planning import RegraspPlan
 from regrasp_opt.robots import Robot
 from regrasp_opt.robots.urdf import parse_xml
@@ -24,7 +25,7 @@ logger = logging.getLogger(__name__)
 SCHEMA = 1
 
 DENSITY = 500.0
-"""Density of the object in its URDF [kg/m^3]: a stand-in, since nothing else here depends on masses."""
+"""Density of an object of unknown mass in its URDF [kg/m^3]: a stand-in, since nothing else here depends on masses."""
 
 
 def save_scene(plan: RegraspPlan, folder: str | os.PathLike[str]) -> None:
@@ -44,7 +45,7 @@ def save_scene(plan: RegraspPlan, folder: str | os.PathLike[str]) -> None:
     fixed = [(shape.name, shape) for shape in (*supports, *cell.obstacles)]
     _write_xml(_surroundings(fixed, folder), folder / "surroundings.urdf")
     _write_mesh(problem.object.vertices, problem.object.faces, folder / "object.stl")
-    _write_xml(_object(problem.object.mesh), folder / "object.urdf")
+    _write_xml(_object(problem.object), folder / "object.urdf")
     content = {
         "schema": SCHEMA,
         "joint_names": list(robot.joint_names),
@@ -112,13 +113,15 @@ def _surroundings(shapes: list[tuple[str, Shape]], folder: Path) -> ET.Element:
     return root
 
 
-def _object(mesh: trimesh.Trimesh) -> ET.Element:
+def _object(model: ObjectModel) -> ET.Element:
     root = ET.Element("robot", name="object")
     link = ET.SubElement(root, "link", name="object")
-    inertia = mesh.moment_inertia * DENSITY
+    mass, inertia = model.mass, model.inertia
+    if mass is None or inertia is None:
+        mass, inertia = model.mesh.volume * DENSITY, model.mesh.moment_inertia * DENSITY
     inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz=_numbers(mesh.center_mass), rpy="0 0 0")
-    ET.SubElement(inertial, "mass", value=f"{mesh.volume * DENSITY:.9g}")
+    ET.SubElement(inertial, "origin", xyz=_numbers(model.center_of_mass), rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=f"{mass:.9g}")
     cells = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
     ET.SubElement(inertial, "inertia", {name: f"{inertia[cell]:.9g}" for name, cell in cells.items()})
     for tag in ("visual", "collision"):
