@@ -7,6 +7,7 @@ Planar parameters ``xi = (x, y, theta)`` act on the left of a stable placement (
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,9 @@ RESTING_TOLERANCE = 1e-3
 RIGID_TOLERANCE = 1e-4
 """How far ``R.T @ R`` of a given pose may be from the identity before it is rejected; below, it is orthonormalised."""
 
+QUATERNION_TOLERANCE = 1e-2
+"""How far the length of a given quaternion may be from 1 before it is rejected; below, it is normalised."""
+
 
 def orthonormalise(T: ArrayLike) -> FloatArray:
     """Return the rigid transforms nearest to `T` (..., 4, 4) (polar decomposition of the rotation part)."""
@@ -52,11 +56,19 @@ def orthonormalise(T: ArrayLike) -> FloatArray:
 def as_pose(T: Any, name: str = "pose") -> FloatArray:
     """Return `T` as a rigid (4, 4) float64 transform.
 
+    Parameters
+    ----------
+    T : (4, 4) array_like or dict
+        A matrix, or a dict with ``position`` (3,) [m] and a unit quaternion (4,), which is called
+        ``quaternion_xyzw`` or ``quaternion_wxyz`` after the order of its numbers.
+
     Raises
     ------
     PoseError
-        If `T` is not (4, 4), not finite, not rigid or left-handed; `name` says which pose it was.
+        If `T` is none of these, not finite, not rigid or left-handed; `name` says which pose it was.
     """
+    if isinstance(T, Mapping):
+        T = _from_quaternion(T, name)
     try:
         matrix = np.array(T, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
@@ -75,6 +87,37 @@ def as_pose(T: Any, name: str = "pose") -> FloatArray:
     if np.linalg.det(rotation) < 0:
         raise PoseError(f"the {name} is left-handed (a mirror image); give a rotation with determinant +1")
     return orthonormalise(matrix)
+
+
+def _from_quaternion(pose: Mapping[str, Any], name: str) -> FloatArray:
+    """Return the pose (4, 4) of a position and a quaternion."""
+    orders = {"quaternion_xyzw": (0, 1, 2, 3), "quaternion_wxyz": (1, 2, 3, 0)}
+    order = next((orders[key] for key in pose if key in orders), None)
+    if order is None or len(pose) != 2 or "position" not in pose:
+        raise PoseError(
+            f"the {name} has the keys {', '.join(map(str, pose)) or 'none'}; give 'position' and 'quaternion_xyzw' or "
+            "'quaternion_wxyz'"
+        )
+    try:
+        position, quaternion = (np.array(value, dtype=np.float64) for key, value in sorted(pose.items()))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise PoseError(f"the {name} holds something that is not a number") from error
+    if position.shape != (3,) or quaternion.shape != (4,):
+        raise PoseError(f"the {name} needs 3 numbers as its position [m] and 4 as its quaternion")
+    norm = float(np.linalg.norm(quaternion))
+    if not abs(norm - 1) <= QUATERNION_TOLERANCE:
+        raise PoseError(f"the {name} has a quaternion of length {norm:.4g}; give a unit quaternion")
+    x, y, z, w = quaternion[list(order)] / norm
+    T = np.eye(4)
+    T[:3, :3] = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    T[:3, 3] = position
+    return T
 
 
 def as_seed(seed: Any) -> int:

@@ -93,18 +93,11 @@ def plan(
     object: options.ObjectOption = "bottle",
     workcell: options.WorkcellOption = "nova2-w",
     end_effector: options.EffectorOption = None,
-    start: Annotated[
-        str | None,
-        typer.Option(metavar="POSE", help="PLACEMENT:x,y,yaw_deg or a JSON file with a 4x4 matrix."),
-    ] = None,
-    goal: Annotated[str | None, typer.Option(metavar="POSE", help="Same as --start.")] = None,
-    refiner: Annotated[
-        str,
-        typer.Option(
-            help="ipopt, lattice, langevin, langevin-ipopt, paper, or exact, which needs no energy.",
-            autocompletion=names(REFINERS),
-        ),
-    ] = "ipopt",
+    start: options.PoseOption = None,
+    goal: options.PoseOption = None,
+    tolerance: options.ToleranceOption = "0.005,3",
+    symmetry: options.SymmetryOption = False,
+    refiner: options.RefinerOption = "ipopt",
     seed: options.SeedOption = 0,
     max_regrasps: Annotated[int, typer.Option(help="Largest number of intermediate poses.")] = 5,
     time_limit: Annotated[float | None, typer.Option(help="Longest time to search \\[s].")] = None,
@@ -116,14 +109,8 @@ def plan(
     grasp_scale: options.GraspScaleOption = 1.0,
     grasp_quality: options.GraspQualityOption = None,
     grasp_near: options.GraspNearOption = "0.005,5",
-    obstacles: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Obstacles besides the workcell's: TOML, MoveIt's .scene or .yaml, or MJCF."),
-    ] = None,
-    obstacle_frame: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Frame of a .scene or MJCF file: world, or the robot's root link."),
-    ] = None,
+    obstacles: options.ObstaclesOption = None,
+    obstacle_frame: options.ObstacleFrameOption = None,
     scale: options.ScaleOption = 1.0,
     repair: options.RepairOption = False,
     thickness: options.ThicknessOption = None,
@@ -156,6 +143,7 @@ def plan(
     if obstacles is not None:
         problem = problem.with_obstacles(read_obstacles(obstacles, problem.workcell, frame=obstacle_frame))
     search = {"refiner": refiner, "max_regrasps": max_regrasps, "seed": seed, "time_limit": time_limit}
+    search |= {"tolerance": options.tolerance_of(tolerance), "symmetry": symmetry}
     return run_plan(problem, start, goal, search, out=out, html=html, as_json=json)
 
 

@@ -34,7 +34,7 @@ def run_check(path: Path, *, as_json: bool) -> int:
             }
             for t in residuals.transitions
         ]
-        print(json.dumps({"holds": good, "problems": problems, "transitions": rows}))
+        print(json.dumps({"holds": good, "problems": problems, "remarks": plan.remarks, "transitions": rows}))
         return 0 if good else 1
     console = make_console()
     margins = "limit margin [rad]", "collision margin [mm]"
@@ -49,6 +49,8 @@ def run_check(path: Path, *, as_json: bool) -> int:
             f"{1e3 * t.collision_margin.min(initial=1.0):+.2f}",
         )
     console.print(table)
+    for remark in plan.remarks:
+        console.print(f"[bold]note[/]: {escape(remark)}", soft_wrap=True)
     if good:
         console.print(f"[bold green]holds[/]: every one of the {len(plan.transitions)} transition(s) holds")
         return 0

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from regrasp_opt.cli.completion import OBJECTS, names, stored
+from regrasp_opt.cli.completion import OBJECTS, REFINERS, names, stored
 from regrasp_opt.errors import OptionError
 
 ObjectOption = Annotated[
@@ -43,6 +43,21 @@ GraspScaleOption = Annotated[float, typer.Option(help="Metres per unit of the gr
 GraspQualityOption = Annotated[float | None, typer.Option(help="Least quality of a grasp, as the grasp file has it.")]
 GraspNearOption = Annotated[
     str, typer.Option(metavar="METRES,DEGREES", help="How far a grasp without a width may be moved onto the object.")
+]
+RefinerOption = Annotated[
+    str,
+    typer.Option(
+        help="ipopt, lattice, langevin, langevin-ipopt, paper, or exact, which needs no energy.",
+        autocompletion=names(REFINERS),
+    ),
+]
+ObstaclesOption = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Obstacles besides the workcell's: TOML, MoveIt's .scene or .yaml, or MJCF."),
+]
+ObstacleFrameOption = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Frame of a .scene or MJCF file: world, or the robot's root link."),
 ]
 PoseOption = Annotated[
     str | None,

@@ -15,6 +15,7 @@ from regrasp_opt.conventions import as_seed
 from regrasp_opt.errors import RegraspError
 from regrasp_opt.planning import RegraspPlan, RegraspProblem, solve_sequence
 from regrasp_opt.planning.arm_energy import train_arm_energy
+from regrasp_opt.planning.ends import resting_end
 from regrasp_opt.planning.plan_file import plan_summary
 from regrasp_opt.planning.pose_text import describe_pose, parse_pose
 from regrasp_opt.planning.problem_data import TRAINING_SAID
@@ -39,7 +40,7 @@ def run_plan(
     if not exact:
         as_recipe(search["refiner"])  # an unknown name is refused before anything is trained for it
     with working("drawing a task", None):
-        task = _task(problem, start, goal, search["seed"])
+        task = _task(problem, start, goal, search["seed"], search["tolerance"])
     if not exact and problem.energy_file is None:
         from regrasp_opt.benchmarks.harness.runner import progress
 
@@ -60,23 +61,27 @@ def run_plan(
 
         write_plan_page(plan, html)
     if as_json:
-        print(json.dumps(plan_summary(plan), allow_nan=False))
+        print(json.dumps(plan_summary(plan) | {"remarks": plan.remarks}, allow_nan=False))
     else:
         _print(plan, [path for path in (out, html) if path is not None])
     return 0 if plan.solved else 1
 
 
-def _task(problem: RegraspProblem, start: str | None, goal: str | None, seed: int) -> Task:
-    T_start, T_goal = (
-        None if text is None else parse_pose(text, name, problem) for name, text in (("start", start), ("goal", goal))
-    )
-    if T_start is not None and T_goal is not None:
-        return Task(T_start, T_goal, -1)
+def _task(
+    problem: RegraspProblem, start: str | None, goal: str | None, seed: int, tolerance: tuple[float, float]
+) -> Task:
+    """Return both ends as they were given; one that was not is drawn for the resting pose that the other means."""
+    ends = {name: text for name, text in (("start", start), ("goal", goal)) if text is not None}
+    given = {name: parse_pose(text, name, problem) for name, text in ends.items()}
+    if len(given) == 2:
+        return Task(given["start"], given["goal"], -1)
     rng = np.random.default_rng(as_seed(seed))
+    rest = {name: resting_end(T, name, problem, tolerance)[0] for name, T in given.items()}
     try:
-        return random_task(problem, rng, start=T_start, goal=T_goal, needs_regrasp=True)
+        task = random_task(problem, rng, start=rest.get("start"), goal=rest.get("goal"), needs_regrasp=True)
     except RegraspError:
-        return random_task(problem, rng, start=T_start, goal=T_goal)
+        task = random_task(problem, rng, start=rest.get("start"), goal=rest.get("goal"))
+    return Task(given.get("start", task.start), given.get("goal", task.goal), task.shared)
 
 
 def _print(plan: RegraspPlan, written: list[Path]) -> None:
@@ -96,5 +101,7 @@ def _print(plan: RegraspPlan, written: list[Path]) -> None:
             ends = [describe_pose(T, problem) for T in plan.poses[i : i + 2]]
             table.add_row(str(i), *ends, str(len(transition.grasp_ids)), clearance)
         console.print(table)
+    for remark in plan.remarks:
+        console.print(f"[bold]note[/]: {escape(remark)}", soft_wrap=True)
     for path in written:
         console.print(f"written: {path}", markup=False, soft_wrap=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import coal
 import numpy as np
@@ -65,7 +65,12 @@ def _some(points: FloatArray) -> FloatArray:
 
 def nearest_points(mesh: trimesh.Trimesh, points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the distances (N,) of `points` (N, 3) from the surface of `mesh` [m], and its nearest points (N, 3)."""
-    surface, ball = mesh_geometry(mesh.vertices, mesh.faces), coal.Sphere(0.0)
+    return nearest_on(mesh_geometry(mesh.vertices, mesh.faces), points)
+
+
+def nearest_on(surface: Any, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the same for a surface that Coal holds already."""
+    ball = coal.Sphere(0.0)
     here, request, result = coal.Transform3s(), coal.DistanceRequest(), coal.DistanceResult()
     distances, nearest = np.empty(len(points)), np.empty((len(points), 3))
     for n, point in enumerate(points):

@@ -12,6 +12,7 @@ from regrasp_opt.energy.model import GraspEnergy
 from regrasp_opt.errors import PoseError
 from regrasp_opt.feasibility.standing import nearest_board, rest_problem, support_of
 from regrasp_opt.objects import ObjectModel
+from regrasp_opt.planning.at_rest import EXACT, GivenPose, rest_within
 from regrasp_opt.planning.problem_data import ProblemData
 from regrasp_opt.scene import Support, Workcell
 
@@ -35,6 +36,31 @@ def checked_end(T: Any, name: str, problem: ProblemData) -> FloatArray:
     if overlapped is not None:
         raise PoseError(f"the object overlaps {overlapped} at the {name} pose; move it away")
     return T
+
+
+def resting_end(
+    T: Any, name: str, problem: ProblemData, tolerance: tuple[float, float]
+) -> tuple[FloatArray, GivenPose | None]:
+    """Return the start or goal pose (4, 4) that `T` means, and what was given where that is another one.
+
+    A pose at which the object can rest is taken as it is. Of any other the nearest resting pose within `tolerance`
+    ([m], [rad]) is taken.
+
+    Raises
+    ------
+    PoseError
+        If neither is possible; the message has the nearest resting pose, or both where two are possible.
+    """
+    try:
+        return checked_end(T, name, problem), None
+    except PoseError as error:
+        T = as_pose(T, f"{name} pose")
+        found = problem.nearest_rests(T)
+        if not found or found[0].motion <= EXACT:
+            raise
+        if not found[0].within(tolerance):
+            raise PoseError(f"{error}; the nearest resting pose is {found[0].label}, {found[0].away} away") from error
+    return checked_end(rest_within(found, tolerance, f"{name} pose").T, name, problem), GivenPose(T)
 
 
 def known_energy(energy: GraspEnergy, T: FloatArray, feasible: BoolArray) -> FloatArray:

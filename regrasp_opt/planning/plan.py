@@ -37,6 +37,9 @@ class RegraspPlan(PlanData):
         One entry for each N that was tried.
     seed : int
     problem : RegraspProblem
+    given : (GivenPose or None, GivenPose or None)
+        What start and goal were given as, where `poses` has others that mean the same: the nearest resting pose of a
+        measured one, or an equal one of a symmetric object. `remarks` says so in words.
     """
 
     def residuals(self) -> Residuals:

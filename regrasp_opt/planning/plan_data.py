@@ -8,8 +8,12 @@ from enum import Enum
 from functools import cached_property
 from typing import Any
 
-from regrasp_opt.conventions import FloatArray, IntArray
+import numpy as np
+
+from regrasp_opt.conventions import FloatArray, IntArray, pose_distance
 from regrasp_opt.feasibility.diagnosis import diagnose, summary
+from regrasp_opt.objects.symmetry import turn_about
+from regrasp_opt.planning.at_rest import EXACT, GivenPose, in_words
 from regrasp_opt.planning.problem import RegraspProblem
 from regrasp_opt.planning.rests import Station
 
@@ -59,6 +63,7 @@ class PlanData:
     refiner_stats: list[dict[str, Any]]
     seed: int
     problem: RegraspProblem = field(repr=False, compare=False)
+    given: tuple[GivenPose | None, GivenPose | None] = (None, None)
 
     @property
     def num_regrasps(self) -> int:
@@ -86,3 +91,27 @@ class PlanData:
             return self.status.value
         failures = diagnose(self.problem.checker, self.poses[ends[self.status]])
         return f"{self.status.value}: {summary(failures)}"
+
+    @cached_property
+    def remarks(self) -> tuple[str, ...]:
+        """What the plan does not take as it was given, or takes although it is not quite at rest; a sentence each."""
+        ends = zip(("start", "goal"), self.poses[[0, -1]], self.given, strict=True)
+        return tuple(filter(None, (self._remark(*end) for end in ends)))
+
+    def _remark(self, name: str, T: FloatArray, given: GivenPose | None) -> str | None:
+        nearest = next(iter(self.problem.nearest_rests(T)), None)
+        at = "" if nearest is None else nearest.label
+        if given is None:
+            if nearest is None or nearest.motion <= EXACT:
+                return None
+            return f"the {name} is planned as it was given, {nearest.away} from the nearest stable placement, {at}"
+        center, turn = self.problem.object.center_of_mass, given.turn
+        turned = T if turn is None else T @ turn_about(center, -turn)
+        distance = float(np.linalg.norm((turned - given.T) @ np.append(center, 1.0)))
+        angle = float(pose_distance(turned, given.T)[1])
+        how = ""
+        if distance > EXACT or angle > EXACT:
+            how += f" was measured {in_words(distance, angle)} from rest and"
+        if turn is not None:
+            at += f", turned by {np.degrees(np.linalg.norm(turn)):.1f} degrees about the object's axis of symmetry"
+        return f"the {name}{how} is planned at {at}"

@@ -17,6 +17,7 @@ from regrasp_opt.files import atomic_path
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import load_object
 from regrasp_opt.objects.mass import NOTHING_GIVEN, MassProperties
+from regrasp_opt.planning.at_rest import GivenPose
 from regrasp_opt.planning.model_store import find_model
 from regrasp_opt.planning.plan_data import PlanData, Status, Transition
 from regrasp_opt.planning.problem import RegraspProblem, assemble
@@ -74,12 +75,23 @@ class _Transition(Section):
     clearance: list[float]
 
 
+class _Given(Section):
+    pose: list[Row]
+    turn: Planar | None = None
+
+
+class _Ends(Section):
+    start: _Given | None = None
+    goal: _Given | None = None
+
+
 class _File(Section):
     schema_: int = Field(alias="schema")
     status: str
     num_regrasps: int
     cost: float | None
     poses: list[list[Row]]
+    given: _Ends = _Ends()
     transitions: list[_Transition]
     timings: dict[str, float]
     placements: list[Number]
@@ -131,6 +143,7 @@ def plan_content(plan: PlanData) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         **plan_summary(plan),
+        **_given_content(plan),
         "placements": [problem.rests[m].placement for m in plan.placements],
         "supports": [problem.rests[m].support.name for m in plan.placements],
         "xi": plan.xi.tolist(),
@@ -157,6 +170,23 @@ def _grasp_content(grasps: GraspSet) -> list[dict[str, Any]]:
     return content
 
 
+def _given_content(plan: PlanData) -> dict[str, Any]:
+    """Return what start and goal were given as; nothing, where that is what the plan has."""
+    ends = zip(("start", "goal"), plan.given, strict=True)
+    given = {
+        name: {"pose": end.T.tolist(), "turn": None if end.turn is None else end.turn.tolist()}
+        for name, end in ends
+        if end is not None
+    }
+    return {"given": given} if given else {}
+
+
+def _given(record: _Given | None, name: str) -> GivenPose | None:
+    if record is None:
+        return None
+    return GivenPose(as_pose(record.pose, f"given {name}"), None if record.turn is None else np.array(record.turn))
+
+
 def load_plan(path: str | os.PathLike[str], kind: type[Plan]) -> Plan:
     """Read a plan of class `kind`; see `RegraspPlan.load`."""
     return plan_from_content(read_json(Path(path), "plan"), Path(path), kind)
@@ -168,6 +198,7 @@ def plan_from_content(raw: Any, path: Path, kind: type[Plan]) -> Plan:
     problem = _problem(content, path)
     try:
         poses = np.array([as_pose(T, f"pose {i}") for i, T in enumerate(content.poses)])
+        given = _given(content.given.start, "start"), _given(content.given.goal, "goal")
     except PoseError as error:
         raise PlanFileError(f"'{path}': {error}") from error
     plan = kind(
@@ -181,6 +212,7 @@ def plan_from_content(raw: Any, path: Path, kind: type[Plan]) -> Plan:
         refiner_stats=content.refiner_stats,
         seed=content.seed,
         problem=problem,
+        given=given,
     )
     counts = {len(plan.placements), len(plan.xi), content.num_regrasps, len(poses) - 2}
     if len(counts) != 1 or len(plan.transitions) not in (0, len(poses) - 1):

@@ -1,4 +1,4 @@
-"""Poses as users type them: ``[SUPPORT/]PLACEMENT:x,y,yaw_deg``, ``FIXTURE/POSE``, or a JSON file with a 4x4 matrix."""
+"""Poses as users type them: ``[SUPPORT/]PLACEMENT:x,y,yaw_deg``, ``FIXTURE/POSE``, or JSON, also in a file."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ import math
 import os
 import re
 from pathlib import Path
-
-import numpy as np
 
 from regrasp_opt.conventions import FloatArray, as_pose
 from regrasp_opt.errors import PoseError, UnknownNameError
@@ -34,7 +32,7 @@ def parse_pose(text: str, name: str, problem: ProblemData) -> FloatArray:
     held = _in_fixture(text.strip(), name, problem)
     match = _PLANAR.fullmatch(text.strip())
     if held is not None or match is None:
-        return _from_file(Path(text), name) if held is None else held
+        return _from_json(text, name) if held is None else held
     try:
         x, y, degrees = (float(value) for value in match.groups()[2:])
     except ValueError as error:
@@ -65,20 +63,27 @@ def _in_fixture(text: str, name: str, problem: ProblemData) -> FloatArray | None
     return problem.pose(labels[text].placement, support=support)
 
 
-def _from_file(path: Path, name: str) -> FloatArray:
-    if path.suffix != ".json" and not os.path.isfile(path):
-        raise PoseError(
-            f"the {name} '{path}' is not a pose; write it like 2:0.30,0.25,45 or name a JSON file with a 4x4 matrix"
-        )
+def _from_json(text: str, name: str) -> FloatArray:
+    path, where, called = Path(text), f"{name} '{text}'", f"{name} pose"
+    if text.lstrip()[:1] not in ("[", "{"):
+        if path.suffix != ".json" and not os.path.isfile(path):
+            raise PoseError(
+                f"the {name} '{path}' is not a pose; write it like 2:0.30,0.25,45 or name a JSON file with a 4x4 matrix"
+            )
+        try:
+            text = path.read_text(encoding="utf-8")
+        except OSError as error:
+            raise PoseError(f"cannot read the {name} from '{path}': {error.strerror}") from error
+        except ValueError as error:
+            raise PoseError(f"the {name} file '{path}' is not text in UTF-8") from error
+        where, called = f"{name} file '{path}'", f"{name} pose in '{path}'"
     try:
-        matrix = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise PoseError(f"cannot read the {name} from '{path}': {error.strerror}") from error
+        pose = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise PoseError(
-            f"the {name} file '{path}' is not valid JSON; it must hold four rows of four numbers"
+            f"the {where} is not valid JSON; give four rows of four numbers, or position and quaternion_xyzw"
         ) from error
-    return as_pose(matrix, f"{name} pose in '{path}'")
+    return as_pose(pose, called)
 
 
 def describe_pose(T: FloatArray, problem: ProblemData) -> str:
@@ -89,8 +94,4 @@ def describe_pose(T: FloatArray, problem: ProblemData) -> str:
     found = problem.rests.find(T, REST_TOLERANCE)
     if found is None:
         return f"({T[0, 3]:+.3f}, {T[1, 3]:+.3f}, {T[2, 3]:+.3f})"
-    rest, (x, y, yaw) = problem.rests[found[0]], found[1]
-    if isinstance(rest.support, Fixture):
-        return rest.label
-    label = rest.label if len(problem.workcell.supports) > 1 else str(rest.placement)
-    return f"{label}:{x:.3f},{y:.3f},{np.degrees(yaw):.1f}"
+    return problem.rests.text(*found)

@@ -19,6 +19,13 @@ from regrasp_opt.feasibility.standing import support_of
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel, Placement
 from regrasp_opt.planning.arm_energy import find_arm_energy, load_arm_energy, train_arm_energy
+from regrasp_opt.planning.at_rest import (
+    TOLERANCE,
+    RestingPose,
+    as_tolerance,
+    nearest_rests,
+    rest_within,
+)
 from regrasp_opt.planning.model_key import ModelKey
 from regrasp_opt.planning.model_store import command_arguments, load_prepared_energy
 from regrasp_opt.planning.rests import Rests, Station
@@ -189,6 +196,40 @@ class ProblemData:
             return Station(rest.support.name, rest.placement, found[1])
         on = support_of(T, self.object, self.workcell)
         return Station(None if on is None else self.workcell.supports[on].name, None, None)
+
+    def nearest_rests(self, T: Any) -> list[RestingPose]:
+        """Return the resting pose nearest to `T` (4, 4) in each placement on each support, the nearest first.
+
+        Raises
+        ------
+        PoseError
+            If `T` is not a rigid transform.
+        """
+        return nearest_rests(as_pose(T), self.object, self.rests)
+
+    def at_rest(self, T: Any, tolerance: tuple[float, float] = TOLERANCE) -> RestingPose:
+        """Return the resting pose that the measured pose `T` means: the one that moves the object's points least.
+
+        Parameters
+        ----------
+        T : (4, 4) array_like or dict
+            T_world_object, as `regrasp_opt.conventions.as_pose` takes it.
+        tolerance : (float, float)
+            How far it may be from rest: distance [m] and angle [rad].
+
+        Returns
+        -------
+        RestingPose
+            With its support, placement, planar parameters, distance, angle, and the runner-up.
+
+        Raises
+        ------
+        PoseError
+            If the nearest resting pose is beyond the tolerance, or another is within it too; the message has both.
+        OptionError
+            If `tolerance` is not two numbers that are at least 0.
+        """
+        return rest_within(self.nearest_rests(T), as_tolerance(tolerance), "pose")
 
     def feasible_grasps(self, T: Any) -> BoolArray:
         """Return which grasps (G,) are feasible at object pose `T` (4, 4) T_world_object, exactly.

@@ -28,6 +28,7 @@ from regrasp_opt.geometry.shapes import shape_geometry
 from regrasp_opt.geometry.solids import Solid, distance
 from regrasp_opt.grasps import hold_failures
 from regrasp_opt.objects import ObjectModel
+from regrasp_opt.objects.symmetry import is_symmetry
 from regrasp_opt.planning.plan_data import PlanData, Transition
 from regrasp_opt.planning.problem import RegraspProblem
 from regrasp_opt.scene import Fixture, Support, Workcell
@@ -92,7 +93,7 @@ def compute_residuals(plan: PlanData) -> Residuals:
     problems: list[str] = []
     if plan.solved and len(plan.transitions) != len(plan.poses) - 1:
         problems.append(f"the plan has {len(plan.poses)} poses but {len(plan.transitions)} transitions")
-    problems += _end_violations(plan) + _edge_violations(plan)
+    problems += _end_violations(plan) + _edge_violations(plan) + _turn_violations(plan)
     placement_error = _placement_errors(plan, problems)
     transitions = []
     for i, transition in enumerate(plan.transitions):
@@ -152,6 +153,14 @@ def _below(T: FloatArray, body: ObjectModel, cell: Workcell) -> tuple[Support | 
         found.append((aside, abs(lowest), number, points))
     *_, number, points = min(found, key=lambda each: each[:3])
     return cell.supports[number], points
+
+
+def _turn_violations(plan: PlanData) -> list[str]:
+    """Return which ends are turned by what is no symmetry of the object."""
+    ends = zip(("start", "goal"), plan.given, strict=True)
+    turned = {name: end.turn for name, end in ends if end is not None and end.turn is not None}
+    wrong = [name for name, turn in turned.items() if not is_symmetry(plan.problem.object, turn)]
+    return [f"the {name} is turned by what is no symmetry of the object" for name in wrong]
 
 
 def _leans_out(points: FloatArray) -> bool:

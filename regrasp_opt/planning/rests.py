@@ -123,6 +123,14 @@ class Rests(Sequence[Rest]):
         there = ", ".join(str(self.items[k].placement) for k in on) or "none"
         raise PoseError(f"there is no placement {placement} on '{support}'; there are: {there}")
 
+    def text(self, number: int, xi: FloatArray) -> str:
+        """Return rest `number` at `xi` (3,) as the command line takes it, to a millimetre and a tenth of a degree."""
+        rest, (x, y, yaw) = self.items[number], xi
+        if isinstance(rest.support, Fixture):
+            return rest.label
+        label = rest.label if (self.supports > 0).any() else str(rest.placement)
+        return f"{label}:{x:.3f},{y:.3f},{np.degrees(yaw):.1f}"
+
     def find(self, T: FloatArray, tolerance: float) -> tuple[int, FloatArray] | None:
         """Return the rest that the object is in at `T` (4, 4), and xi (3,), or None; one within its limits if any is.
 

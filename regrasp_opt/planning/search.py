@@ -7,10 +7,8 @@ are before N grows.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -19,7 +17,10 @@ import numpy as np
 from regrasp_opt.connectivity import CostOptions, SequenceObjective, exact_energy, pair_score, sequence_cost
 from regrasp_opt.conventions import BoolArray, FloatArray, as_seed
 from regrasp_opt.errors import OptionError
-from regrasp_opt.planning.ends import checked_end, known_energy
+from regrasp_opt.planning.at_rest import TOLERANCE, as_tolerance
+from regrasp_opt.planning.clock import Clock
+from regrasp_opt.planning.ends import known_energy, resting_end
+from regrasp_opt.planning.equivalents import equivalent_goals
 from regrasp_opt.planning.exact import PORTION, SIZES, Path, RestingPoses
 from regrasp_opt.planning.plan import RegraspPlan
 from regrasp_opt.planning.plan_data import Status
@@ -46,14 +47,17 @@ def solve_sequence(
     time_limit: float | None = None,
     options: CostOptions | None = None,
     accept: Callable[[RegraspPlan], bool] | None = None,
+    tolerance: tuple[float, float] = TOLERANCE,
+    symmetry: bool = False,
 ) -> RegraspPlan:
     """Plan from `start` to `goal` with as few regrasps as possible.
 
     Parameters
     ----------
     problem : RegraspProblem
-    start, goal : (4, 4) array_like
-        T_world_object; the object rests on a support at both.
+    start, goal : (4, 4) array_like or dict
+        T_world_object, as `regrasp_opt.conventions.as_pose` takes it. Where the object does not rest, the nearest
+        resting pose takes its place, and `RegraspPlan.given` keeps what was measured.
     refiner : {"ipopt", "lattice", "langevin", "langevin-ipopt", "paper", "exact"} or Refiner or Recipe
         What improves candidate sequences, see `regrasp_opt.planning.recipes`. An object with the `Refiner` protocol
         gets lattice chains as start points. "exact" needs no energy: random resting poses, exact checks, and the
@@ -69,6 +73,11 @@ def solve_sequence(
         Parameters of ``J_seq``; the paper's by default.
     accept : callable, optional
         Is shown each verified plan; where it returns False, the search goes on with the next candidate.
+    tolerance : (float, float)
+        How far `start` and `goal` may be from rest: distance [m] and angle [rad].
+    symmetry : bool
+        Goals that differ by a turn about the object's axis of symmetry count as equal, and the best is taken
+        (`regrasp_opt.planning.equivalents`).
 
     Returns
     -------
@@ -78,9 +87,10 @@ def solve_sequence(
     Raises
     ------
     PoseError
-        If `start` or `goal` cannot be a pose of the object in this workcell.
+        If `start` or `goal` cannot be a pose of the object in this workcell, is farther from rest than `tolerance`, or
+        may be one of two resting poses.
     OptionError, UnknownNameError
-        For `max_regrasps` below 0 or an unknown refiner.
+        For an option out of its range, an unknown refiner, or `symmetry` of an object that has none.
     ModelError
         If the refiner needs an energy, and a file is broken or none can be trained (`ProblemData.energy`).
     """
@@ -91,56 +101,21 @@ def solve_sequence(
         raise OptionError(f"max_regrasps is {max_regrasps}; give a whole number from 0 to {MAX_REGRASPS}")
     if time_limit is not None and not time_limit > 0:
         raise OptionError(f"time_limit is {time_limit}; give a positive number of seconds")
+    tolerance = as_tolerance(tolerance)
     with one_blas_thread():
-        return _solve(
-            problem, start, goal, recipe, int(max_regrasps), seed, _Clock(time_limit), options or CostOptions(), accept
-        )
-
-
-def _solve(
-    problem: RegraspProblem,
-    start: Any,
-    goal: Any,
-    recipe: Recipe | None,
-    max_regrasps: int,
-    seed: int,
-    clock: _Clock,
-    options: CostOptions,
-    accept: Callable[[RegraspPlan], bool] | None,
-) -> RegraspPlan:
-    T_start = checked_end(start, "start", problem)
-    T_goal = checked_end(goal, "goal", problem)
-    with clock.timed("ends"):
-        ends = [PoseFeasibility(problem.checker, T) for T in (T_start, T_goal)]
-        feasible = [end.all() for end in ends]
-    kind = _ExactSearch if recipe is None else _Search
-    search = kind(problem, recipe or Recipe(LatticeRefiner()), ends, options, seed, clock, accept)
-    for knowledge, status in zip(feasible, (Status.START_INFEASIBLE, Status.GOAL_INFEASIBLE), strict=True):
-        if not knowledge.any():
-            return search.result(status)
-    return search.run(max_regrasps)
-
-
-@dataclass
-class _Clock:
-    limit: float | None
-    seconds: dict[str, float] = field(default_factory=dict)
-    began: float = field(default_factory=time.perf_counter)
-
-    @contextmanager
-    def timed(self, name: str) -> Iterator[None]:
-        began = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
-
-    @property
-    def over(self) -> bool:
-        return self.limit is not None and time.perf_counter() - self.began > self.limit
-
-    def report(self) -> dict[str, float]:
-        return {**self.seconds, "total": time.perf_counter() - self.began}
+        clock = Clock(time_limit)
+        poses = (resting_end(T, name, problem, tolerance) for T, name in ((start, "start"), (goal, "goal")))
+        ends = [PoseFeasibility(problem.checker, T, given=given) for T, given in poses]
+        with clock.timed("ends"):
+            if symmetry:
+                ends[1] = equivalent_goals(problem, ends[0], ends[1], tolerance)
+            feasible = [end.all() for end in ends]
+        kind = _ExactSearch if recipe is None else _Search
+        search = kind(problem, recipe or Recipe(LatticeRefiner()), ends, options or CostOptions(), seed, clock, accept)
+        for knowledge, status in zip(feasible, (Status.START_INFEASIBLE, Status.GOAL_INFEASIBLE), strict=True):
+            if not knowledge.any():
+                return search.result(status)
+        return search.run(int(max_regrasps))
 
 
 class _Search:
@@ -153,7 +128,7 @@ class _Search:
         ends: list[PoseFeasibility],
         options: CostOptions,
         seed: int,
-        clock: _Clock,
+        clock: Clock,
         accept: Callable[[RegraspPlan], bool] | None = None,
     ) -> None:
         self.problem, self.recipe, self.ends, self.clock, self.seed = problem, recipe, ends, clock, seed
@@ -166,8 +141,9 @@ class _Search:
     def run(self, max_regrasps: int) -> RegraspPlan:
         start, goal = self.ends
         if (start.all() & goal.all()).any():
+            goal = goal.beside(start)
             cost = float(pair_score(exact_energy(start.all()), exact_energy(goal.all()), self.options.alpha))
-            plan = self.result(Status.SOLVED, cost=cost)
+            plan = self.result(Status.SOLVED, cost=cost, chain=[start, goal])
             if self._accepted(plan):
                 return plan
         return self._deeper(max_regrasps)
@@ -291,7 +267,7 @@ class _Search:
             return None
         energies = objective.chain(objective.energies(candidates.placements[index], xi)[None])[0]
         chain = [self.ends[0], *middle, self.ends[1]]
-        return chain if verify_sequence(chain, energies) else None
+        return [*chain[:-1], chain[-1].beside(chain[-2])] if verify_sequence(chain, energies) else None
 
     def _knowledge(self, T: FloatArray) -> PoseFeasibility:
         """Return what is known about pose `T`; chains of lattice poses have many poses in common."""
@@ -301,6 +277,8 @@ class _Search:
         self, objective: SequenceObjective, candidates: Candidates, index: int, chain: list[PoseFeasibility]
     ) -> RegraspPlan:
         picked = candidates.take(slice(index, index + 1))
+        if chain[-1] is not self.ends[-1]:  # one of several equivalent goals
+            objective = replace(objective, goal_energy=self._end_energy(chain[-1]))
         cost = float(objective.cost(picked.placements, picked.xi)[0])
         return self.result(Status.SOLVED, cost=cost, chain=chain, placements=picked.placements[0], xi=picked.xi[0])
 
@@ -326,10 +304,9 @@ class _Search:
 
     def _end_energy(self, end: PoseFeasibility) -> FloatArray:
         """Return the energies (G,) at a fixed end, exact ones if they may be used."""
-        energy = self.problem.energy
-        if self.recipe.knowledge == "learned":
-            return energy(end.T)
-        return known_energy(energy, end.T, end.all())
+        energy, learned = self.problem.energy, self.recipe.knowledge == "learned"
+        each = [energy(pose.T) if learned else known_energy(energy, pose.T, pose.all()) for pose in end.members]
+        return np.min(each, axis=0) if len(each) > 1 else each[0]
 
     def result(
         self,
@@ -341,7 +318,7 @@ class _Search:
         xi: Any = (),
     ) -> RegraspPlan:
         """Return the plan; the transitions of a solved one are enumerated when they are looked at."""
-        chain = chain or self.ends
+        chain = [pose.members[0] for pose in chain or self.ends]
         solved = status is Status.SOLVED
         poses: FloatArray = np.array([knowledge.T for knowledge in chain])
         return RegraspPlan(
@@ -355,6 +332,7 @@ class _Search:
             refiner_stats=self.stats,
             seed=self.seed,
             problem=self.problem,
+            given=(chain[0].given, chain[-1].given),
         )
 
 
@@ -385,7 +363,8 @@ class _ExactSearch(_Search):
     def _accepted_plan(self, path: Path) -> RegraspPlan | None:
         T = self.problem.rests.planar.at(path.placements, path.xi)
         known = zip(T, path.feasible, strict=True)
-        chain = [self.ends[0], *(PoseFeasibility(self.problem.checker, *each) for each in known), self.ends[1]]
+        middle = [PoseFeasibility(self.problem.checker, *each) for each in known]
+        chain = [self.ends[0], *middle, self.ends[1].beside(middle[-1])]
         cost = float(sequence_cost(np.array([exact_energy(pose.all()) for pose in chain]), self.options))
         cost += float(self.problem.rests.planar.weights[path.placements].sum())
         plan = self.result(Status.SOLVED, cost=cost, chain=chain, placements=path.placements, xi=path.xi)

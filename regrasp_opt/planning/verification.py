@@ -16,6 +16,7 @@ import numpy as np
 
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
 from regrasp_opt.feasibility import FeasibilityChecker
+from regrasp_opt.planning.at_rest import GivenPose
 from regrasp_opt.planning.plan_data import Transition
 
 _CHUNK = 8
@@ -23,13 +24,33 @@ _CHUNK = 8
 
 
 class PoseFeasibility:
-    """What is known exactly about the G grasps at one object pose `T` (4, 4); all if `feasible` (G,) is given."""
+    """What is known exactly about the G grasps at one object pose `T` (4, 4); all if `feasible` (G,) is given.
 
-    def __init__(self, checker: FeasibilityChecker, T: FloatArray, feasible: BoolArray | None = None) -> None:
-        self.T = T
+    `given` is what a start or goal was given as, if that is another pose.
+    """
+
+    def __init__(
+        self,
+        checker: FeasibilityChecker,
+        T: FloatArray,
+        feasible: BoolArray | None = None,
+        given: GivenPose | None = None,
+    ) -> None:
+        self.T, self.given = T, given
         self._checker = checker
         self._known = np.full(len(checker.grasps), feasible is not None)
         self._feasible = np.zeros(len(checker.grasps), dtype=bool) if feasible is None else feasible
+
+    @property
+    def members(self) -> Sequence[PoseFeasibility]:
+        """The poses that count as this one."""
+        return (self,)
+
+    def beside(self, neighbor: PoseFeasibility) -> PoseFeasibility:
+        """Return the one of the `members` that shares the most grasps with the pose before it."""
+        if len(self.members) == 1:
+            return self
+        return max(self.members, key=lambda pose: np.count_nonzero(pose.all() & neighbor.all()))
 
     @cached_property
     def object_collides(self) -> bool:

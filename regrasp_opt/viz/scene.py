@@ -197,7 +197,7 @@ def _subtitle(plan: RegraspPlan, track: Track | None) -> str:
         return plan.message
     cost = "" if np.isnan(plan.cost) else f", J_seq {plan.cost:.2f}"
     duration = "" if track is None else f", motion of {track.times[-1]:.1f} s"
-    return f"{plan.num_regrasps} regrasp(s){cost}{duration}"
+    return "; ".join([f"{plan.num_regrasps} regrasp(s){cost}{duration}", *plan.remarks])
 
 
 def _picks_and_places(plan: RegraspPlan) -> tuple[FloatArray, list[Step], list[SharedGrasps]]:

@@ -119,7 +119,8 @@ def solve_with_free_grasps(
     with one_blas_thread():
         search = _Search(problem, sampled.poses[[0, -1]], max_regrasps, seed, options or FreeGraspOptions())
         plan = search.run() or sampled
-    return replace(plan, timings={**sampled.timings, "free grasps": time.perf_counter() - begun})
+    timings = {**sampled.timings, "free grasps": time.perf_counter() - begun}
+    return replace(plan, timings=timings, given=sampled.given)
 
 
 class _Chain(NamedTuple):
