@@ -230,7 +230,5 @@ def test_a_turn_that_is_no_symmetry_does_not_hold(noisy):
 
 if __name__ == "__main__":
     for tolerance in (WIDE, TOLERANCE):
-        total = sum(
-            (understood(n, 200, tolerance) for n in ("bottle", "mug", "pentagon", "figurine", BUNNY)), Counter()
-        )
-        print(tolerance, dict(total))
+        counts = [understood(name, 200, tolerance) for name in ("bottle", "mug", "pentagon", "figurine", str(BUNNY))]
+        print(tolerance, dict(sum(counts, Counter[str]())))

@@ -5,9 +5,10 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from regrasp_opt.connectivity import CostOptions
-from regrasp_opt.conventions import rotation_rpy, translation
+from regrasp_opt.conventions import pose_distance, rotation_rpy, translation
 from regrasp_opt.errors import PoseError, WorkcellError
 from regrasp_opt.geometry.shapes import shape_geometry
 from regrasp_opt.geometry.solids import Solid, separation
@@ -232,3 +233,32 @@ def test_a_bottle_is_not_lifted_through_the_wall_of_its_nest(tmp_path):
     assert height == pytest.approx(-0.0004, abs=1e-6)
     pushed = T @ translation(0.0, near[1] + 0.002, 0.005)
     assert scene._height_in(pushed, 3) < height - 1e-3
+
+
+def test_measured_poses_are_put_on_the_support_that_they_were_measured_on(problem):
+    """On boards, level and tilted, and in the fixture; a label is what the command line takes."""
+    rng, seen = np.random.default_rng(0), set()
+    numbers, xi = problem.rests.planar.draw(60, rng)
+    numbers, xi = np.append(numbers, len(problem.rests) - 1), np.vstack([xi, np.zeros(3)])
+    for number, T in zip(numbers, problem.rests.planar.at(numbers, xi), strict=True):
+        rest = problem.rests[number]
+        turn = Rotation.from_rotvec(rng.normal(0.0, 0.02, 3)).as_matrix()
+        middle = T[:3, :3] @ problem.object.center_of_mass + T[:3, 3]
+        M = T.copy()
+        M[:3, :3], M[:3, 3] = turn @ T[:3, :3], turn @ (T[:3, 3] - middle) + middle + rng.normal(0.0, 0.003, 3)
+        found = problem.at_rest(M, (0.015, 0.12))
+        assert (found.support, found.placement) == (rest.support.name, rest.placement)
+        assert problem.station(found.T).support == rest.support.name
+        error = pose_distance(parse_pose(found.label, "start", problem), found.T)
+        assert error[0] < 2e-3 and error[1] < 2e-3
+        seen.add(found.support)
+    assert seen == {"table", "plate", "upper", "nest"}
+    np.testing.assert_allclose(found.T, T, atol=1e-12)  # the fixture leaves no freedom
+
+
+def test_a_plan_from_a_pose_measured_in_the_fixture(problem):
+    nest = problem.rests.planar.at(len(problem.rests) - 1, np.zeros(3))
+    M = translation(0.001, -0.001, 0.002) @ nest
+    plan = solve_sequence(problem, M, problem.pose(0, -0.2, 0.3), "exact")
+    assert plan.solved and plan.stations[0].support == "nest" and plan.residuals().hold
+    assert plan.remarks == ("the start was measured 2.4 mm and 0.0 degrees from rest and is planned at nest/leaning",)
