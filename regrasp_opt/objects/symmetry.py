@@ -71,8 +71,11 @@ def wrapped(angles: FloatArray) -> FloatArray:
 
 
 def is_symmetry(model: ObjectModel, turn: FloatArray) -> bool:
-    """Return whether `model` looks the same after a turn about its centre of mass by a rotation vector (3,) [rad]."""
-    return _alike(model, _surface_points(model), turn)
+    """Return whether `model` looks the same after a turn about its centre of mass by a rotation vector (3,) [rad].
+
+    `symmetries` tries some turns of all, so twice `ALIKE` is allowed here: what it finds is never denied.
+    """
+    return _alike(model, _surface_points(model), turn, 2 * ALIKE)
 
 
 def turn_about(point: FloatArray, turn: FloatArray) -> FloatArray:
@@ -99,8 +102,8 @@ def _order(model: ObjectModel, points: FloatArray, axis: FloatArray) -> int | No
     return 1
 
 
-def _alike(model: ObjectModel, points: FloatArray, turn: FloatArray) -> bool:
-    """Return whether `points` (P, 3) about the centre of mass, turned, lie on the surface."""
+def _alike(model: ObjectModel, points: FloatArray, turn: FloatArray, share: float = ALIKE) -> bool:
+    """Return whether `points` (P, 3) about the centre of mass, turned, lie on the surface to within a `share`."""
     turned = points @ Rotation.from_rotvec(turn).as_matrix().T + model.center_of_mass
-    limit, step = ALIKE * float(model.mesh.extents.max()), -(-len(points) // _FIRST)
+    limit, step = share * float(model.mesh.extents.max()), -(-len(points) // _FIRST)
     return all(float(nearest_on(model.solid.geometry, some)[0].max()) <= limit for some in (turned[::step], turned))

@@ -12,7 +12,7 @@ import numpy as np
 
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
 from regrasp_opt.errors import OptionError, PoseError
-from regrasp_opt.objects.symmetry import symmetries, turn_about, wrapped
+from regrasp_opt.objects.symmetry import turn_about, wrapped
 from regrasp_opt.planning.at_rest import EXACT, GivenPose
 from regrasp_opt.planning.ends import checked_end
 from regrasp_opt.planning.problem_data import ProblemData
@@ -60,10 +60,9 @@ def equivalent_goals(
     OptionError
         If the object has no axis of symmetry.
     """
-    axes = symmetries(problem.object)
-    if not axes:
+    if not problem.symmetries:
         raise OptionError(f"'{problem.object.name}' has no axis of rotational symmetry; omit symmetry")
-    best = max(axes, key=lambda each: abs(float(goal.T[2, :3] @ each.axis)))
+    best = max(problem.symmetries, key=lambda each: abs(float(goal.T[2, :3] @ each.axis)))
     angles = best.turns(SAMPLE)
     poses = [goal, *_turned(problem, goal, angles[:, None] * best.axis, tolerance)]
     wanted = np.flatnonzero(start.all())

@@ -18,6 +18,7 @@ from regrasp_opt.feasibility import FeasibilityChecker
 from regrasp_opt.feasibility.standing import support_of
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel, Placement
+from regrasp_opt.objects.symmetry import Symmetry, symmetries
 from regrasp_opt.planning.arm_energy import find_arm_energy, load_arm_energy, train_arm_energy
 from regrasp_opt.planning.at_rest import (
     TOLERANCE,
@@ -76,6 +77,11 @@ class ProblemData:
     def rests(self) -> Rests:
         """The ways to stand: placements on supports. Those on the first support have the numbers of `placements`."""
         return Rests.of(self.object, self.workcell)
+
+    @cached_property
+    def symmetries(self) -> list[Symmetry]:
+        """The object's axes of rotational symmetry, those of the highest order."""
+        return symmetries(self.object)
 
     @property
     def energy_file(self) -> Path | None:
