@@ -235,16 +235,15 @@ def _parse(raw: Any, path: Path) -> _File:
 def _problem(content: _File, path: Path) -> RegraspProblem:
     what = content.object
     name = what.name if what.source == "built-in" else what.source
-    given, changed = (
-        what.mass_properties.given(),
-        f"the object '{what.name}' has changed since the plan '{path}' was made",
-    )
+    given = what.mass_properties.given()
     try:
         body = load_object(name, scale=what.scale, repair=what.repair, thickness=what.thickness, **given)
     except OptionError as error:
-        raise PlanFileError(f"{changed}: {error}") from error
+        raise PlanFileError(
+            f"the object '{what.name}' has changed since the plan '{path}' was made: {error}"
+        ) from error
     if body.fingerprint() != what.fingerprint or body.given.given() != given:
-        raise PlanFileError(f"{changed}; plan again")
+        raise PlanFileError(f"the object '{what.name}' has changed since the plan '{path}' was made; plan again")
     cell = _unchanged_cell(content.workcell, path)
     try:
         T = np.array([as_pose(g.T_object_tcp, f"grasp {i}") for i, g in enumerate(content.grasps)])
