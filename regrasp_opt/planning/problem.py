@@ -110,13 +110,7 @@ class RegraspProblem(ProblemData):
             raise UnknownNameError("preset", preset, ENERGY_FILES)
         how: dict[str, Any] = {"scale": scale, "repair": repair, "thickness": thickness, "mass": mass}
         how |= {"density": density, "center_of_mass": center_of_mass, "inertia": inertia}
-        if isinstance(object, ObjectModel):
-            told = [k for k, v in how.items() if v is not None and v is not False and (k, v) != ("scale", 1.0)]
-            if told:
-                raise OptionError(f"'{object.name}' is loaded already; give {told[0]} to load_object instead")
-            body = object
-        else:
-            body = load_object(object, **how)
+        body = _loaded(object, how)
         if not isinstance(workcell, Workcell):
             workcell = load_workcell(workcell, end_effector=end_effector)
         if not len(Rests.of(body, workcell)):
@@ -212,6 +206,16 @@ class RegraspProblem(ProblemData):
             If a file of the energy is broken, or none can be trained.
         """
         return sequence_nlp(self, start, goal, placements, num_regrasps, guess, mask, options or CostOptions())
+
+
+def _loaded(what: str | os.PathLike[str] | ObjectModel, how: dict[str, Any]) -> ObjectModel:
+    """Return the object, loaded with the options `how` unless it is loaded already, which takes none."""
+    if not isinstance(what, ObjectModel):
+        return load_object(what, **how)
+    told = [key for key, v in how.items() if v is not None and v is not False and (key, v) != ("scale", 1.0)]
+    if told:
+        raise OptionError(f"'{what.name}' is loaded already; give {told[0]} to load_object instead")
+    return what
 
 
 def assemble(
