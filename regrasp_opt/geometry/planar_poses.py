@@ -68,10 +68,11 @@ class PlanarPoses:
         """The corners (2, 2) of the least rectangle in x and y with all that is allowed [m]."""
         return np.array([self.low[:, :2].min(axis=0), self.high[:, :2].max(axis=0)])
 
-    def draw(self, count: int, rng: np.random.Generator) -> tuple[IntArray, FloatArray]:
-        """Return random placement numbers (count,) and xi (count, 3), uniform within the limits of each."""
+    def draw(self, count: int, rng: np.random.Generator, among: IntArray | None = None) -> tuple[IntArray, FloatArray]:
+        """Return random placement numbers (count,), `among` these, and xi (count, 3), uniform within their limits."""
         share = np.column_stack([rng.random((count, 2)), rng.random(count)])
-        numbers = rng.integers(len(self), size=count)
+        choices = np.arange(len(self)) if among is None else among
+        numbers = choices[rng.integers(len(choices), size=count)]
         return numbers, self.inside(numbers, share)
 
     def inside(self, numbers: IntArray, share: FloatArray) -> FloatArray:

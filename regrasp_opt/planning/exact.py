@@ -43,10 +43,18 @@ class RestingPoses:
     placements : PlanarPoses
         S stable placements on the supports.
     rng : Generator
+    choices : (C,) int, optional
+        Numbers of those that are drawn; by default all.
     """
 
-    def __init__(self, checker: FeasibilityChecker, placements: PlanarPoses, rng: np.random.Generator) -> None:
-        self._checker, self._placements, self._rng = checker, placements, rng
+    def __init__(
+        self,
+        checker: FeasibilityChecker,
+        placements: PlanarPoses,
+        rng: np.random.Generator,
+        choices: IntArray | None = None,
+    ) -> None:
+        self._checker, self._placements, self._rng, self._choices = checker, placements, rng, choices
         self.numbers = np.zeros(0, dtype=np.int64)
         self.xi = np.zeros((0, 3))
         self.feasible = np.zeros((0, len(checker.grasps)), dtype=bool)
@@ -55,7 +63,7 @@ class RestingPoses:
     def grow(self, size: int) -> None:
         """Draw until `size` poses were drawn; those at which no grasp is feasible are not kept."""
         count, grasps = size - self.drawn, len(self._checker.grasps)
-        numbers, xi = self._placements.draw(count, self._rng)
+        numbers, xi = self._placements.draw(count, self._rng, self._choices)
         T = self._placements.at(numbers, xi)
         pairs = np.tile(np.arange(grasps), count)
         found = self._checker.feasible_pairs(np.repeat(T, grasps, axis=0), pairs).reshape(count, grasps)
@@ -65,8 +73,8 @@ class RestingPoses:
         self.feasible = np.concatenate([self.feasible, found[useful]])
         self.drawn = size
 
-    def shortest_paths(self, start: BoolArray, goal: BoolArray, longest: int) -> Iterator[Path]:
-        """Yield the paths with the fewest poses, at most `longest`, from grasp set `start` (G,) to `goal` (G,).
+    def shortest_paths(self, start: BoolArray, goal: BoolArray, counts: range) -> Iterator[Path]:
+        """Yield the paths with the fewest poses, a number in `counts`, from grasp set `start` (G,) to `goal` (G,).
 
         The widest come first: those whose neighbours share the most grasps, at the pair that shares the fewest.
         """
@@ -75,9 +83,9 @@ class RestingPoses:
         widths = sets @ start.astype(np.float32)
         last = sets @ goal.astype(np.float32)
         before: list[IntArray] = []
-        for _ in range(longest if len(sets) else 0):
+        for count in range(1, counts.stop if len(sets) else 1):
             ends = np.minimum(widths, last)
-            if ends.any():
+            if count in counts and ends.any():
                 for end in np.argsort(-ends, kind="stable")[:PATHS]:
                     if ends[end] > 0:
                         yield self._path(int(end), before)

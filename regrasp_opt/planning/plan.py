@@ -40,6 +40,8 @@ class RegraspPlan(PlanData):
     given : (GivenPose or None, GivenPose or None)
         What start and goal were given as, where `poses` has others that mean the same: the nearest resting pose of a
         measured one, or an equal one of a symmetric object. `remarks` says so in words.
+    alternatives : tuple of RegraspPlan
+        Further plans, where they were asked for; files do not keep them.
     """
 
     def residuals(self) -> Residuals:

@@ -64,6 +64,7 @@ class PlanData:
     seed: int
     problem: RegraspProblem = field(repr=False, compare=False)
     given: tuple[GivenPose | None, GivenPose | None] = (None, None)
+    alternatives: tuple[Any, ...] = field(default=(), repr=False, compare=False)
 
     @property
     def num_regrasps(self) -> int:
@@ -115,3 +116,10 @@ class PlanData:
         if turn is not None:
             at += f", turned by {np.degrees(np.linalg.norm(turn)):.1f} degrees about the object's axis of symmetry"
         return f"the {name}{how} is planned at {at}"
+
+
+def shared_grasps(plan: PlanData, index: int) -> list[int]:
+    """Return the grasps that the poses before and after transition `index` share."""
+    lazy = getattr(plan.transitions, "shared", None)
+    ids: list[int] = (plan.transitions[index].grasp_ids if lazy is None else lazy(index)).tolist()
+    return ids

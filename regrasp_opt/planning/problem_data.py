@@ -12,7 +12,7 @@ import numpy as np
 
 from regrasp_opt.connectivity import CostOptions, SequenceObjective, TableRule
 from regrasp_opt.connectivity.embedding import ProblemEnergy
-from regrasp_opt.conventions import BoolArray, FloatArray, as_pose, planar_transform
+from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, as_pose, planar_transform
 from regrasp_opt.errors import ModelError, PoseError
 from regrasp_opt.feasibility import FeasibilityChecker
 from regrasp_opt.feasibility.standing import support_of
@@ -135,6 +135,16 @@ class ProblemData:
         if self.base is not None:
             return self.base.free_lattice
         return PoseLattice.build(self.energy, self.rests.planar, self.rules.free_space)
+
+    @property
+    def original(self) -> ProblemData:
+        """The problem that plans are of; another one where a search may not use all of it."""
+        return self
+
+    @property
+    def choices(self) -> IntArray:
+        """Numbers of the rests that intermediate poses may have."""
+        return np.arange(len(self.rests))
 
     @property
     def lattice(self) -> PoseLattice:

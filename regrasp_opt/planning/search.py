@@ -7,33 +7,34 @@ are before N grows.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from functools import cached_property
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 
-from regrasp_opt.connectivity import CostOptions, SequenceObjective, exact_energy, pair_score, sequence_cost
-from regrasp_opt.conventions import BoolArray, FloatArray, as_seed
+from regrasp_opt.connectivity import CostOptions, exact_energy, sequence_cost
+from regrasp_opt.conventions import as_seed
 from regrasp_opt.errors import OptionError
+from regrasp_opt.planning.alternatives import Alternatives
 from regrasp_opt.planning.at_rest import TOLERANCE, as_tolerance
 from regrasp_opt.planning.clock import Clock
-from regrasp_opt.planning.ends import known_energy, resting_end
+from regrasp_opt.planning.deepening import Search
+from regrasp_opt.planning.ends import resting_end
 from regrasp_opt.planning.equivalents import equivalent_goals
 from regrasp_opt.planning.exact import PORTION, SIZES, Path, RestingPoses
+from regrasp_opt.planning.filters import filtered
 from regrasp_opt.planning.plan import RegraspPlan
 from regrasp_opt.planning.plan_data import Status
 from regrasp_opt.planning.problem import RegraspProblem
 from regrasp_opt.planning.recipes import EXACT, Recipe, as_recipe
-from regrasp_opt.planning.verification import LazyTransitions, PoseFeasibility, verify_sequence
-from regrasp_opt.solvers import Candidates, LatticeRefiner, PoseLattice, Refiner, lattice_starts
+from regrasp_opt.planning.verification import PoseFeasibility
+from regrasp_opt.solvers import LatticeRefiner, Refiner
 from regrasp_opt.threads import one_blas_thread
 
-SAME = 1e-3
-"""How much planar parameters of the same plan differ at most [m, rad]."""
 MAX_REGRASPS = 8
 """Largest number of intermediate poses that can be asked for."""
+MOST_ALTERNATIVES = 100
+"""Further plans that can be asked for."""
 
 
 def solve_sequence(
@@ -49,6 +50,11 @@ def solve_sequence(
     accept: Callable[[RegraspPlan], bool] | None = None,
     tolerance: tuple[float, float] = TOLERANCE,
     symmetry: bool = False,
+    num_regrasps: int | None = None,
+    placements: Iterable[int] | None = None,
+    supports: Iterable[str] | None = None,
+    grasps: Any = None,
+    alternatives: int = 0,
 ) -> RegraspPlan:
     """Plan from `start` to `goal` with as few regrasps as possible.
 
@@ -78,6 +84,16 @@ def solve_sequence(
     symmetry : bool
         Goals that differ by a turn about the object's axis of symmetry count as equal, and the best is taken
         (`regrasp_opt.planning.equivalents`).
+    num_regrasps : int, optional
+        Exactly this number of intermediate poses, whatever `max_regrasps` is.
+    placements, supports : iterables of int, and of str, optional
+        Placements, and names of supports, that intermediate poses may have.
+    grasps : (G,) bool, grasp numbers or callable, optional
+        Grasps that may be used. A callable is given tool poses (M, 4, 4) T_world_tcp and returns which of them may be
+        used (M,); `regrasp_opt.planning.filters.from_above` makes one.
+    alternatives : int
+        How many further plans to look for, which differ in a support or placement, or in some transition share no
+        grasp with the others; they have at most one regrasp more. `RegraspPlan.alternatives` has those that were found.
 
     Returns
     -------
@@ -96,255 +112,54 @@ def solve_sequence(
     """
     recipe = None if isinstance(refiner, str) and refiner == EXACT else as_recipe(refiner)
     seed = as_seed(seed)
-    whole = isinstance(max_regrasps, (int, np.integer)) and not isinstance(max_regrasps, bool)
-    if not whole or not 0 <= max_regrasps <= MAX_REGRASPS:
-        raise OptionError(f"max_regrasps is {max_regrasps}; give a whole number from 0 to {MAX_REGRASPS}")
+    least = 0 if num_regrasps is None else _whole("num_regrasps", num_regrasps, MAX_REGRASPS)
+    most = _whole("max_regrasps", max_regrasps, MAX_REGRASPS) if num_regrasps is None else least
+    others = Alternatives(_whole("alternatives", alternatives, MOST_ALTERNATIVES), accept)
     if time_limit is not None and not time_limit > 0:
         raise OptionError(f"time_limit is {time_limit}; give a positive number of seconds")
     tolerance = as_tolerance(tolerance)
     with one_blas_thread():
-        clock = Clock(time_limit)
+        clock, problem = Clock(time_limit), filtered(problem, placements, supports, grasps)
         poses = (resting_end(T, name, problem, tolerance) for T, name in ((start, "start"), (goal, "goal")))
         ends = [PoseFeasibility(problem.checker, T, given=given) for T, given in poses]
         with clock.timed("ends"):
             if symmetry:
                 ends[1] = equivalent_goals(problem, ends[0], ends[1], tolerance)
             feasible = [end.all() for end in ends]
-        kind = _ExactSearch if recipe is None else _Search
-        search = kind(problem, recipe or Recipe(LatticeRefiner()), ends, options or CostOptions(), seed, clock, accept)
-        for knowledge, status in zip(feasible, (Status.START_INFEASIBLE, Status.GOAL_INFEASIBLE), strict=True):
+        kind = _ExactSearch if recipe is None else Search
+        recipe, accepted = recipe or Recipe(LatticeRefiner()), others if alternatives else accept
+        search = kind(problem, recipe, ends, options or CostOptions(), seed, clock, accepted)
+        statuses = Status.START_INFEASIBLE, Status.GOAL_INFEASIBLE
+        for knowledge, end, status in zip(feasible, ends, statuses, strict=True):
             if not knowledge.any():
+                _check_filter(problem, end)
                 return search.result(status)
-        return search.run(int(max_regrasps))
+        return others.of(search.run(range(least, most + 1)))
 
 
-class _Search:
-    """Iterative deepening for one start and goal."""
-
-    def __init__(
-        self,
-        problem: RegraspProblem,
-        recipe: Recipe,
-        ends: list[PoseFeasibility],
-        options: CostOptions,
-        seed: int,
-        clock: Clock,
-        accept: Callable[[RegraspPlan], bool] | None = None,
-    ) -> None:
-        self.problem, self.recipe, self.ends, self.clock, self.seed = problem, recipe, ends, clock, seed
-        self.options, self.accept = options, accept
-        self.stats: list[dict[str, Any]] = []
-        self.cheapest: Candidates | None = None
-        self.known: dict[bytes, PoseFeasibility] = {}
-        self.refused: list[RegraspPlan] = []
-
-    def run(self, max_regrasps: int) -> RegraspPlan:
-        start, goal = self.ends
-        if (start.all() & goal.all()).any():
-            goal = goal.beside(start)
-            cost = float(pair_score(exact_energy(start.all()), exact_energy(goal.all()), self.options.alpha))
-            plan = self.result(Status.SOLVED, cost=cost, chain=[start, goal])
-            if self._accepted(plan):
-                return plan
-        return self._deeper(max_regrasps)
-
-    def _deeper(self, max_regrasps: int) -> RegraspPlan:
-        """Return the plan with the fewest intermediate poses, at least one."""
-        for num_regrasps in range(1, max_regrasps + 1):
-            found = self._at_depth(num_regrasps)
-            if found is not None:
-                return found
-            if self.clock.over:
-                return self._best_so_far()
-        return self.result(Status.NOT_FOUND)
-
-    def _at_depth(self, num_regrasps: int) -> RegraspPlan | None:
-        """Return the plan with `num_regrasps` intermediate poses, or None."""
-        objective, recipe = self.objective, self.recipe
-        rng = np.random.default_rng([self.seed, num_regrasps])
-        with self.clock.timed("starts"):
-            chains = recipe.start_points(lambda: self.lattice, objective, num_regrasps, rng)
-        if not len(chains):
-            self.stats.append({"num_regrasps": num_regrasps, "refiner": recipe.refiner.name, "starts": 0})
-            return None
-        first = 0
-        for size in recipe.batches:
-            starts = chains.take(slice(first, first + size))
-            first += size
-            if not len(starts):
-                break
-            with self.clock.timed("refine"):
-                refined = recipe.refiner.refine(objective, starts, rng)
-            told = {"num_regrasps": num_regrasps, "refiner": recipe.refiner.name, "stages": recipe.stages}
-            entry = {**told, **refined.stats}
-            self.stats.append(entry)
-            ranked = refined.candidates.best(recipe.verified)
-            if len(ranked) and (self.cheapest is None or ranked.cost[0] < self.cheapest.cost[0]):
-                self.cheapest = ranked.take(slice(0, 1))
-            if recipe.check == "threshold":
-                return self._by_threshold(objective, ranked, entry)
-            found = self._first_verified(objective, ranked, entry)
-            if found is not None or self.clock.over:
-                return found
-        if not recipe.fallback:
-            return None
-        entry = {"num_regrasps": num_regrasps, "refiner": "lattice"}
-        self.stats.append(entry)
-        with self.clock.timed("starts"):
-            rng = np.random.default_rng([self.seed, num_regrasps])
-            chains = lattice_starts(self.lattice, objective, num_regrasps, recipe.fallback, rng)
-        return self._first_verified(objective, chains, entry)
-
-    def _first_verified(
-        self, objective: SequenceObjective, candidates: Candidates, entry: dict[str, Any]
-    ) -> RegraspPlan | None:
-        """Return the plan of the first candidate that is verified, or None; record its rank in `entry`."""
-        for index in range(len(candidates)):
-            if self.clock.over:
-                return None
-            if self._was_refused(candidates, index):
-                continue
-            with self.clock.timed("verify"):
-                chain = self._verify(objective, candidates, index)
-            if chain is None:
-                continue
-            plan = self._plan(objective, candidates, index, chain)
-            if self._accepted(plan):
-                entry["accepted"] = index
-                picked = candidates.take(slice(index, index + 1))
-                entry["threshold_passed"] = int(self._below_threshold(objective, picked).sum())
-                return plan
-        return None
-
-    def _accepted(self, plan: RegraspPlan) -> bool:
-        if self.accept is None:
-            return True
-        with self.clock.timed("accept"):
-            accepted = self.accept(plan)
-        if not accepted:
-            self.refused.append(plan)
-        return accepted
-
-    def _was_refused(self, candidates: Candidates, index: int) -> bool:
-        """Return whether the same poses were shown before: several starts may be refined to one minimum."""
-        placements, xi = candidates.placements[index], candidates.xi[index]
-        return any(
-            np.array_equal(plan.placements, placements) and np.allclose(plan.xi, xi, atol=SAME) for plan in self.refused
-        )
-
-    def _by_threshold(
-        self, objective: SequenceObjective, candidates: Candidates, entry: dict[str, Any]
-    ) -> RegraspPlan | None:
-        """Return what becomes of the cheapest candidate all of whose pairs pass `h` (Alg. 2); None if none passes."""
-        passing = np.flatnonzero(self._below_threshold(objective, candidates))
-        entry["threshold_passed"] = len(passing)
-        if len(passing) == 0:
-            return None
-        index = int(passing[0])
-        with self.clock.timed("verify"):
-            chain = self._verify(objective, candidates, index)
-        if chain is None:
-            return self.result(Status.NOT_FOUND)
-        plan = self._plan(objective, candidates, index, chain)
-        if not self._accepted(plan):
-            return self.result(Status.NOT_FOUND)
-        entry["accepted"] = index
-        return plan
-
-    def _below_threshold(self, objective: SequenceObjective, candidates: Candidates) -> BoolArray:
-        """Return for each candidate (B,) whether all its pairs have a grasp whose summed energy is at most `h`."""
-        energies = objective.chain(objective.energies(candidates.placements, candidates.xi))
-        summed = energies[:, :-1] + energies[:, 1:]
-        return (summed <= self.problem.energy.model.threshold).any(axis=2).all(axis=1)
-
-    def _verify(self, objective: SequenceObjective, candidates: Candidates, index: int) -> list[PoseFeasibility] | None:
-        xi = candidates.xi[index]
-        if not objective.placements.allow(candidates.placements[index], xi):  # a refiner is not believed
-            return None
-        poses = objective.poses(candidates.placements[index], xi)
-        middle = [self._knowledge(T) for T in poses]
-        if any(knowledge.object_collides for knowledge in middle):
-            return None
-        energies = objective.chain(objective.energies(candidates.placements[index], xi)[None])[0]
-        chain = [self.ends[0], *middle, self.ends[1]]
-        return [*chain[:-1], chain[-1].beside(chain[-2])] if verify_sequence(chain, energies) else None
-
-    def _knowledge(self, T: FloatArray) -> PoseFeasibility:
-        """Return what is known about pose `T`; chains of lattice poses have many poses in common."""
-        return self.known.setdefault(T.tobytes(), PoseFeasibility(self.problem.checker, T))
-
-    def _plan(
-        self, objective: SequenceObjective, candidates: Candidates, index: int, chain: list[PoseFeasibility]
-    ) -> RegraspPlan:
-        picked = candidates.take(slice(index, index + 1))
-        if chain[-1] is not self.ends[-1]:  # one of several equivalent goals
-            objective = replace(objective, goal_energy=self._end_energy(chain[-1]))
-        cost = float(objective.cost(picked.placements, picked.xi)[0])
-        return self.result(Status.SOLVED, cost=cost, chain=chain, placements=picked.placements[0], xi=picked.xi[0])
-
-    def _best_so_far(self) -> RegraspPlan:
-        if self.cheapest is None:
-            return self.result(Status.TIME_LIMIT)
-        best = self.cheapest
-        poses = self.objective.poses(best.placements[0], best.xi[0])
-        chain = [self.ends[0], *(PoseFeasibility(self.problem.checker, T) for T in poses), self.ends[1]]
-        return self.result(
-            Status.TIME_LIMIT, cost=float(best.cost[0]), chain=chain, placements=best.placements[0], xi=best.xi[0]
-        )
-
-    @cached_property
-    def lattice(self) -> PoseLattice:
-        return self.problem.lattice
-
-    @property
-    def objective(self) -> SequenceObjective:
-        start, goal = (self._end_energy(end) for end in self.ends)
-        known = self.problem.objective(start, goal, self.options)
-        return known if self.recipe.knowledge == "exact" else replace(known, rule=None)
-
-    def _end_energy(self, end: PoseFeasibility) -> FloatArray:
-        """Return the energies (G,) at a fixed end, exact ones if they may be used."""
-        energy, learned = self.problem.energy, self.recipe.knowledge == "learned"
-        each = [energy(pose.T) if learned else known_energy(energy, pose.T, pose.all()) for pose in end.members]
-        return np.min(each, axis=0) if len(each) > 1 else each[0]
-
-    def result(
-        self,
-        status: Status,
-        *,
-        cost: float = float("nan"),
-        chain: list[PoseFeasibility] | None = None,
-        placements: Any = (),
-        xi: Any = (),
-    ) -> RegraspPlan:
-        """Return the plan; the transitions of a solved one are enumerated when they are looked at."""
-        chain = [pose.members[0] for pose in chain or self.ends]
-        solved = status is Status.SOLVED
-        poses: FloatArray = np.array([knowledge.T for knowledge in chain])
-        return RegraspPlan(
-            status=status,
-            poses=poses,
-            placements=np.array(placements, dtype=np.int64),
-            xi=np.array(xi, dtype=np.float64).reshape(-1, 3),
-            transitions=LazyTransitions(self.problem.checker, chain) if solved else (),
-            cost=cost,
-            timings=self.clock.report(),
-            refiner_stats=self.stats,
-            seed=self.seed,
-            problem=self.problem,
-            given=(chain[0].given, chain[-1].given),
-        )
+def _whole(name: str, value: Any, most: int) -> int:
+    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    if not whole or not 0 <= value <= most:
+        raise OptionError(f"{name} is {value}; give a whole number from 0 to {most}")
+    return int(value)
 
 
-class _ExactSearch(_Search):
+def _check_filter(problem: RegraspProblem, end: PoseFeasibility) -> None:
+    """Raise an OptionError where only the choice of grasps keeps an end from having a feasible one."""
+    if problem.original is not problem:
+        free = int(problem.original.checker.feasible(end.T).sum())
+        if free:
+            raise OptionError(f"grasps leaves none of the {free} grasps that are feasible at start or goal; allow more")
+
+
+class _ExactSearch(Search):
     """The shortest path between exactly checked random poses, without an energy."""
 
-    def _deeper(self, max_regrasps: int) -> RegraspPlan:
-        problem, fewest = self.problem, max_regrasps
-        rng = np.random.default_rng(self.seed)
-        poses = RestingPoses(problem.checker, problem.rests.planar, rng)
+    def _deeper(self, counts: range) -> RegraspPlan:
+        problem, rng = self.problem, np.random.default_rng(self.seed)
+        poses = RestingPoses(problem.checker, problem.rests.planar, rng, problem.choices)
         found: RegraspPlan | None = None
-        for size in SIZES if max_regrasps else ():
+        for size in SIZES if counts else ():
             if self.clock.over:
                 return found or self.result(Status.TIME_LIMIT)
             with self.clock.timed("checks"):
@@ -352,11 +167,11 @@ class _ExactSearch(_Search):
                     poses.grow(min(size, poses.drawn + PORTION))
             self.stats.append({"refiner": EXACT, "poses": poses.drawn, "graspable": len(poses.xi)})
             start, goal = (end.all() for end in self.ends)
-            better = next(filter(None, map(self._accepted_plan, poses.shortest_paths(start, goal, fewest))), None)
+            better = next(filter(None, map(self._accepted_plan, poses.shortest_paths(start, goal, counts))), None)
             if better is not None:
-                found, fewest = better, better.num_regrasps - 1
+                found, counts = better, range(counts.start, better.num_regrasps)
                 self.stats[-1]["num_regrasps"] = better.num_regrasps
-            if found is not None and (better is None or fewest == 0):
+            if found is not None and (better is None or not counts):
                 break  # more poses do not save a regrasp, or none can be saved
         return found or self.result(Status.NOT_FOUND)
 

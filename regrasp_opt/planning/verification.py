@@ -148,6 +148,11 @@ class LazyTransitions(Sequence[Transition]):
             self._found[number] = found
         return found
 
+    def shared(self, index: int) -> IntArray:
+        """Return the grasps (K,) that are feasible at both poses of a transition, without enumerating it."""
+        a, b = self._chain[index : index + 2]
+        return np.flatnonzero(a.all() & b.all())
+
     def __reduce__(self) -> tuple[type[tuple[Transition, ...]], tuple[tuple[Transition, ...]]]:
         return tuple, (tuple(self),)
 
