@@ -163,15 +163,15 @@ class _FilteredProblem(RegraspProblem):
         return checker
 
     @property
-    def rests(self) -> Rests:  # type: ignore[override]
+    def rests(self) -> Rests:
         return self.source.rests
 
     @property
-    def energy(self) -> ProblemEnergy:  # type: ignore[override]
+    def energy(self) -> ProblemEnergy:
         return self.source.energy
 
     @property
-    def rules(self) -> GraspRules:  # type: ignore[override]
+    def rules(self) -> GraspRules:
         return self.source.rules
 
     @property

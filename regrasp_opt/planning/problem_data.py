@@ -137,7 +137,7 @@ class ProblemData:
         return PoseLattice.build(self.energy, self.rests.planar, self.rules.free_space)
 
     @property
-    def original(self) -> ProblemData:
+    def original(self) -> Any:
         """The problem that plans are of; another one where a search may not use all of it."""
         return self
 
