@@ -112,7 +112,8 @@ def test_the_csv_holds_the_trajectories(motion, tmp_path):
         rows = list(csv.DictReader(file))
     names = motion.plan.problem.workcell.robot.joint_names
     numbers = [f"{n}{what}" for what in ("", "_velocity", "_acceleration") for n in names]
-    assert list(rows[0]) == ["time", "phase", "jaw", *numbers, "jaw_command", "jaw_force", "holds"]
+    about = ["time", "phase", "arm", "gripper", "jaw"]
+    assert list(rows[0]) == [*about, *numbers, "jaw_command", "jaw_force", "holds"]
     t = np.array([float(row["time"]) for row in rows])
     q = np.array([[float(row[n]) for n in names] for row in rows])
     v = np.array([[float(row[f"{n}_velocity"]) for n in names] for row in rows])
@@ -122,6 +123,7 @@ def test_the_csv_holds_the_trajectories(motion, tmp_path):
         assert Phase[row["phase"].upper()] and np.isfinite(start) and segment.shape == (6,)
     # integrating the velocities gives the positions
     assert np.allclose(q[0] + np.cumsum((v[1:] + v[:-1]) / 2 * np.diff(t)[:, None], axis=0), q[1:], atol=2e-3)
+    assert {(row["arm"], row["gripper"]) for row in rows} == {("nova2", "w")}
     a = np.array([[float(row[f"{n}_acceleration"]) for n in names] for row in rows])
     assert np.allclose(np.cumsum((a[1:] + a[:-1]) / 2 * np.diff(t)[:, None], axis=0), v[1:], atol=0.1)
     for row in rows:

@@ -49,19 +49,26 @@ def plan(tmp_path, bottle_plan):
 def bodies(path):
     """Return the collision bodies in a URDF by the names of their links, as Pinocchio reads it."""
     model = pin.buildModelFromUrdf(str(path))
-    geometry = pin.buildGeomFromUrdf(model, str(path), pin.GeometryType.COLLISION, package_dirs=[str(path.parent)])
+    geometry = pin.buildGeomFromUrdf(model, str(path), pin.GeometryType.COLLISION)
     return {item.name.rsplit("_", 1)[0]: item for item in geometry.geometryObjects}
 
 
-def test_meshes_are_found_from_the_folder_of_the_scene(plan, tmp_path):
+def test_meshes_are_found_from_everywhere(plan, tmp_path, monkeypatch):
     folder = tmp_path / "scene"
-    save_scene(plan, folder)
+    monkeypatch.chdir(tmp_path)
+    save_scene(plan, "scene")
+    monkeypatch.chdir("/")
     assert f'filename="{tmp_path / "files" / "foot.stl"}"' in (folder / "robot.urdf").read_text("utf-8")
     assert "base_link" in bodies(folder / "robot.urdf")
     fixed = bodies(folder / "surroundings.urdf")
     assert set(fixed) == {"table", "post", "part"}
     assert (fixed["post"].geometry.radius, 2 * fixed["post"].geometry.halfLength) == (0.02, 0.3)
     part = trimesh.load(folder / "surrounding-2.stl")
+    (loose,) = bodies(folder / "object.urdf").values()
+    corner = plan.problem.object.vertices.max(axis=0)
+    np.testing.assert_allclose(loose.geometry.vertices().max(axis=0), corner, atol=1e-6)
+    names = [m.get("filename") for file in folder.glob("*.urdf") for m in ET.parse(file).getroot().iter("mesh")]
+    assert all(name.startswith("/") for name in names) and len(set(names)) == 3
     np.testing.assert_allclose(part.extents, [0.06, 0.06, 0.2], atol=1e-6)
     wanted = plan.problem.workcell.obstacles[1].pose
     np.testing.assert_allclose(fixed["part"].placement.homogeneous, wanted, atol=1e-9)

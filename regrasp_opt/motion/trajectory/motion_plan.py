@@ -128,10 +128,11 @@ class MotionPlan:
     def save_csv(self, path: str | os.PathLike[str], step: float = 0.01) -> None:
         """Write the motion of joints and jaw at every `step` seconds to `path` as CSV, atomically.
 
-        Columns are ``time`` [s], ``phase``, ``jaw`` [m], the joints' positions under their names, their velocities and
-        accelerations under ``NAME_velocity`` and ``NAME_acceleration``, then what the jaw is told: ``jaw_command`` [m],
-        ``jaw_force`` [N], empty without one, and ``holds``, 1 from the command to close to that to open. The last row
-        is the end. The jaw moves evenly over a segment.
+        Columns are ``time`` [s], ``phase``, ``arm`` and ``gripper`` (the names of robot and tool), ``jaw`` (its opening
+        [m]), the joints' positions under their names, their velocities and accelerations under ``NAME_velocity`` and
+        ``NAME_acceleration``, then what the jaw is told: ``jaw_command`` [m], ``jaw_force`` [N], empty without one, and
+        ``holds``, 1 from the command to close to that to open. The last row is the end. The jaw moves evenly over a
+        segment.
 
         Raises
         ------
@@ -145,7 +146,8 @@ class MotionPlan:
             raise OptionError(
                 f"step is {step}, which makes more than {MOST_ROWS:,} rows of {self.duration:.0f} s; give a larger one"
             )
-        names = self.plan.problem.workcell.arm.robot.joint_names
+        arm = self.plan.problem.workcell.arm
+        names, who = arm.robot.joint_names, (arm.robot.name, arm.end_effector.name)
         times = np.append(np.arange(0.0, self.duration - step / 2, step), self.duration)
         numbers = np.searchsorted(self.starts, times, side="right") - 1
         columns = [f"{name}{what}" for what in ("", "_velocity", "_acceleration") for name in names]
@@ -153,16 +155,16 @@ class MotionPlan:
         told = np.searchsorted([event.time for event in events], times, side="right") - 1
         with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
-            writer.writerow(["time", "phase", "jaw", *columns, "jaw_command", "jaw_force", "holds"])
+            writer.writerow(["time", "phase", "arm", "gripper", "jaw", *columns, "jaw_command", "jaw_force", "holds"])
             for number, (segment, start) in enumerate(zip(self.segments, self.starts, strict=True)):
                 trajectory = segment.trajectory
                 t, mine = times[numbers == number], told[numbers == number]
                 local = np.clip(t - start, 0.0, trajectory.duration)
                 jaw = np.interp(local, [0.0, trajectory.duration], segment.jaw)
-                arm = trajectory.at(local), trajectory.velocity_at(local), trajectory.acceleration_at(local)
-                for event, state in zip(mine, np.column_stack([t, jaw, *arm]).tolist(), strict=True):
+                rows = trajectory.at(local), trajectory.velocity_at(local), trajectory.acceleration_at(local)
+                for event, state in zip(mine, np.column_stack([t, jaw, *rows]).tolist(), strict=True):
                     moment, *row = [f"{x:.9g}" for x in state]
-                    writer.writerow([moment, segment.phase.name.lower(), *row, *_told(events[event])])
+                    writer.writerow([moment, segment.phase.name.lower(), *who, *row, *_told(events[event])])
 
     def save_scene(self, folder: str | os.PathLike[str]) -> None:
         """Write robot, gripper, table, obstacles and object as URDF, and where they stand, into `folder`."""

@@ -31,12 +31,12 @@ DENSITY = 500.0
 def save_scene(plan: RegraspPlan, folder: str | os.PathLike[str]) -> None:
     """Write the scene of `plan` into `folder`.
 
-    ``robot.urdf`` is the robot's own file with absolute mesh names, those of packages too; ``gripper.urdf`` has a
-    prismatic joint for each finger, whose position is half the opening; ``surroundings.urdf`` holds table and obstacles
-    in the world frame; ``object.urdf`` and ``object.stl`` are the object. ``scene.json`` says how they are put together
-    and where the object stands.
+    All names of meshes are absolute. ``robot.urdf`` is the robot's own file; ``gripper.urdf`` has a prismatic joint for
+    each finger, whose position is half the opening; ``surroundings.urdf`` holds table and obstacles in the world frame;
+    ``object.urdf`` and ``object.stl`` are the object. ``scene.json`` says how they are put together and where the
+    object stands.
     """
-    folder = Path(folder)
+    folder = Path(folder).resolve()
     problem = plan.problem
     cell, robot = problem.workcell, problem.workcell.arm.robot
     _write_xml(_robot(robot), folder / "robot.urdf")
@@ -45,7 +45,7 @@ def save_scene(plan: RegraspPlan, folder: str | os.PathLike[str]) -> None:
     fixed = [(shape.name, shape) for shape in (*supports, *cell.obstacles)]
     _write_xml(_surroundings(fixed, folder), folder / "surroundings.urdf")
     _write_mesh(problem.object.vertices, problem.object.faces, folder / "object.stl")
-    _write_xml(_object(problem.object), folder / "object.urdf")
+    _write_xml(_object(problem.object, folder), folder / "object.urdf")
     content = {
         "schema": SCHEMA,
         "joint_names": list(robot.joint_names),
@@ -113,19 +113,24 @@ def _surroundings(shapes: list[tuple[str, Shape]], folder: Path) -> ET.Element:
     return root
 
 
-def _object(model: ObjectModel) -> ET.Element:
+def mass_properties(model: ObjectModel) -> tuple[float, FloatArray]:
+    """Return mass [kg] and inertia (3, 3) about the centre of mass [kg m^2]: what was given, else at `DENSITY`."""
+    if model.mass is not None and model.inertia is not None:
+        return model.mass, model.inertia
+    return float(model.mesh.volume) * DENSITY, model.mesh.moment_inertia * DENSITY
+
+
+def _object(model: ObjectModel, folder: Path) -> ET.Element:
     root = ET.Element("robot", name="object")
     link = ET.SubElement(root, "link", name="object")
-    mass, inertia = model.mass, model.inertia
-    if mass is None or inertia is None:
-        mass, inertia = model.mesh.volume * DENSITY, model.mesh.moment_inertia * DENSITY
+    mass, inertia = mass_properties(model)
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "origin", xyz=_numbers(model.center_of_mass), rpy="0 0 0")
     ET.SubElement(inertial, "mass", value=f"{mass:.9g}")
     cells = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
     ET.SubElement(inertial, "inertia", {name: f"{inertia[cell]:.9g}" for name, cell in cells.items()})
     for tag in ("visual", "collision"):
-        ET.SubElement(ET.SubElement(ET.SubElement(link, tag), "geometry"), "mesh", filename="object.stl")
+        ET.SubElement(ET.SubElement(ET.SubElement(link, tag), "geometry"), "mesh", filename=str(folder / "object.stl"))
     return root
 
 
@@ -141,7 +146,7 @@ def _add_shape(link: ET.Element, shape: Shape, folder: Path, mesh_name: str = ""
         else:
             name = mesh_name or f"{shape.name}.stl"
             _write_mesh(shape.vertices, shape.faces, folder / name)
-            ET.SubElement(geometry, "mesh", filename=name)
+            ET.SubElement(geometry, "mesh", filename=str(folder / name))
 
 
 def _numbers(values: Any) -> str:
