@@ -97,6 +97,11 @@ def test_an_optimal_control_problem_puts_the_object_where_the_next_grasp_is(outp
     assert (shared[1:].min(axis=1) > shared[0].min()).all()
 
 
+def test_a_motion_is_replayed_in_a_simulator(output):
+    offsets = [float(row) for row in rows(output("09_replay_in_mujoco.py"), r"the bottle lies ([\d.]+) mm")]
+    assert len(offsets) >= 2 and max(offsets) < 5
+
+
 def test_every_example_has_a_test_and_says_how_to_run_it():
     tested = Path(__file__).read_text(encoding="utf-8")
     for path in sorted(EXAMPLES.glob("*.py")):
