@@ -277,6 +277,9 @@ def motion(
     csv: Annotated[Path | None, typer.Option(help="Save the motion of joints and jaw over time as CSV.")] = None,
     step: Annotated[float, typer.Option(help="Time between rows of the CSV \\[s].")] = 0.01,
     scene: Annotated[Path | None, typer.Option(help="Folder to write the scene to, as URDF.")] = None,
+    ros: Annotated[Path | None, typer.Option(help="Save ROS 2 goals of arm and gripper as YAML.")] = None,
+    moveit: Annotated[Path | None, typer.Option(help="Save MoveIt's planning scenes as YAML.")] = None,
+    mjcf: Annotated[Path | None, typer.Option(help="Folder to write a model and the motion to, for MuJoCo.")] = None,
     velocity: Annotated[float, typer.Option(help="Fraction of the joints' velocity limits to use, 0.001 to 1.")] = 1.0,
     acceleration: Annotated[float, typer.Option(help="Largest joint acceleration \\[rad/s^2], 0.001 to 1000.")] = 5.0,
     jerk: Annotated[float | None, typer.Option(help="Largest joint jerk \\[rad/s^3], 0.1 to 100,000.")] = None,
@@ -297,7 +300,8 @@ def motion(
 
     home = None if no_home else "robot"
     how = MotionOptions(home, velocity, acceleration, jerk, squeeze=squeeze, force=force, seed=seed)
-    return run_motion(plan, how, out=out, csv=csv, step=step, scene=scene, as_json=json)
+    files = {"out": out, "csv": csv, "scene": scene, "ros": ros, "moveit": moveit, "mjcf": mjcf}
+    return run_motion(plan, how, files, step=step, as_json=json)
 
 
 @app.command()

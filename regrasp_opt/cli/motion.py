@@ -10,6 +10,9 @@ import numpy as np
 from rich.markup import escape
 
 from regrasp_opt.cli.output import make_console, plain_table, working
+from regrasp_opt.io.mjcf_export import save_mjcf
+from regrasp_opt.io.moveit_export import save_moveit
+from regrasp_opt.io.ros_export import save_ros
 from regrasp_opt.motion import MotionOptions, MotionPlan, plan_motion
 from regrasp_opt.motion.trajectory.motion_plan import check_step
 from regrasp_opt.motion.trajectory.scene_export import save_scene
@@ -18,28 +21,23 @@ from regrasp_opt.planning import RegraspPlan
 logger = logging.getLogger(__name__)
 
 
-def run_motion(
-    path: Path,
-    options: MotionOptions,
-    *,
-    out: Path | None,
-    csv: Path | None,
-    step: float,
-    scene: Path | None,
-    as_json: bool,
-) -> int:
-    """Plan the motion of a saved plan, write what is asked for, and return 0 if there is one, else 1."""
+def run_motion(path: Path, options: MotionOptions, files: dict[str, Path | None], *, step: float, as_json: bool) -> int:
+    """Plan the motion of a saved plan, write the `files` asked for by option, and return 0 if there is one, else 1."""
     check_step(step)
-    plan = RegraspPlan.load(path)
-    if scene is not None:
-        save_scene(plan, scene)
+    plan, asked = RegraspPlan.load(path), {option: file for option, file in files.items() if file is not None}
+    if "scene" in asked:
+        save_scene(plan, asked["scene"])
     with working("planning the motion"):
         motion = plan_motion(plan, options)
     logger.info("%s; planned in %.2f s with %s", motion.status.name.lower(), motion.seconds, options)
-    if out is not None:
-        motion.save(out)
-    if csv is not None and motion.solved:
-        motion.save_csv(csv, step)
+    if "out" in asked:
+        motion.save(asked["out"])
+    if motion.solved:
+        if "csv" in asked:
+            motion.save_csv(asked["csv"], step)
+        for option, save in (("ros", save_ros), ("moveit", save_moveit), ("mjcf", save_mjcf)):
+            if option in asked:
+                save(motion, asked[option])
     if as_json:
         print(json.dumps(summary(motion)))
     else:

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+import yaml
 
 from regrasp_opt import RegraspProblem, solve_sequence
 from regrasp_opt.cli.app import run
@@ -26,8 +27,17 @@ def test_a_motion_is_written_and_shown(plan_path, tmp_path, capsys):
     shown = capsys.readouterr().out
     assert "SOLVED" in shown and "transfer" in shown
     motion = MotionPlan.load(out)
-    assert motion.solved and csv.read_text("utf-8").startswith("time,phase,jaw,joint1")
+    assert motion.solved and csv.read_text("utf-8").startswith("time,phase,arm,gripper,jaw,joint1")
     assert {p.name for p in scene.iterdir()} >= {"scene.json", "robot.urdf", "gripper.urdf", "object.stl"}
+
+
+def test_files_for_other_programs(plan_path, tmp_path, capsys):
+    ros, moveit, mjcf = tmp_path / "goals.yaml", tmp_path / "scenes.yaml", tmp_path / "model"
+    arguments = ["--ros", str(ros), "--moveit", str(moveit), "--mjcf", str(mjcf)]
+    assert run(["motion", str(plan_path), *arguments]) == 0
+    assert yaml.safe_load(ros.read_text("utf-8"))["arm"] == "nova2"
+    assert len(list(yaml.safe_load_all(moveit.read_text("utf-8")))) == 3
+    assert {p.name for p in mjcf.iterdir()} >= {"model.xml", "trajectory.csv", "mesh0.obj"}
 
 
 def test_json_and_options(plan_path, capsys):
@@ -53,9 +63,10 @@ def test_no_motion_is_exit_code_one(plan_path, tmp_path, capsys):
     content["status"] = "not_found"
     unsolved = tmp_path / "unsolved.json"
     unsolved.write_text(json.dumps(content), "utf-8")
-    csv = tmp_path / "motion.csv"
-    assert run(["motion", str(unsolved), "--csv", str(csv)]) == 1
-    assert "NO_PLAN" in capsys.readouterr().out and not csv.exists()
+    files = [tmp_path / name for name in ("motion.csv", "goals.yaml", "scenes.yaml", "model")]
+    options = zip(("--csv", "--ros", "--moveit", "--mjcf"), map(str, files), strict=True)
+    assert run(["motion", str(unsolved), *(word for option in options for word in option)]) == 1
+    assert "NO_PLAN" in capsys.readouterr().out and not any(file.exists() for file in files)
 
 
 @pytest.mark.parametrize(
