@@ -8,6 +8,7 @@ six-joint arm too; for most seven-joint arms it is one of the last three.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -77,6 +78,12 @@ class LockedIk:
     def solve(self, T_base_tip: FloatArray) -> IkSolutions:
         """Return the branches within the joint limits at all samples for poses (B, 4, 4), each one verified."""
         return self._solve_at(self.samples, T_base_tip)
+
+    def without_limits(self) -> LockedIk:
+        """Return the solver of the same arm with joints that turn all the way round, but for the locked one."""
+        free, turns = copy(self), ~self._chain.prismatic
+        free._lower, free._upper = np.where(turns, -np.pi, self._lower), np.where(turns, np.pi, self._upper)
+        return free
 
     def _solve_at(self, samples: Sequence[Sample], T_base_tip: FloatArray) -> IkSolutions:
         """Return the branches at `samples`."""

@@ -23,6 +23,7 @@ from regrasp_opt.geometry.shapes import geometry_parts
 from regrasp_opt.robots.analytic import AnalyticIk
 from regrasp_opt.robots.ik import IkSolutions, InverseKinematics
 from regrasp_opt.robots.kinematics import SerialChain
+from regrasp_opt.robots.locked import LockedIk
 from regrasp_opt.robots.self_test import IkTest, self_test
 from regrasp_opt.robots.urdf import parse_xml
 
@@ -119,12 +120,27 @@ class Robot:
         """
         return self.ik.solve(np.asarray(T_base_tip, dtype=np.float64).reshape(-1, 4, 4))
 
+    def solve_without_limits(self, T_base_tip: FloatArray) -> IkSolutions | None:
+        """Return the configurations that would reach poses (B, 4, 4) but for the limits; None where that is not known.
+
+        Turning joints are within half a turn of 0, a locked one keeps its samples. `beyond_limits` says which of them
+        are the trouble.
+        """
+        return self.ik.without_limits().solve(T_base_tip) if isinstance(self.ik, (AnalyticIk, LockedIk)) else None
+
     def reaches(self, T_base_tip: FloatArray) -> BoolArray:
         """Return which poses (B, 4, 4) the tip could reach but for the limits; where that is not known, all."""
         reached = np.full(len(T_base_tip), not isinstance(self.ik, AnalyticIk))
         if isinstance(self.ik, AnalyticIk):
             reached[self.ik.without_limits().solve(T_base_tip).pose_index] = True
         return reached
+
+    def beyond_limits(self, q: FloatArray) -> BoolArray:
+        """Return which joints of configurations `q` (..., dof) no number of whole turns brings within their limits."""
+        fewest, most = self._turns(q)
+        outside = (q < self.lower - JOINT_LIMIT_TOLERANCE) | (q > self.upper + JOINT_LIMIT_TOLERANCE)
+        beyond: BoolArray = np.where(self.chain.prismatic, outside, fewest > most)
+        return beyond
 
     def equivalents(self, q: ArrayLike) -> list[FloatArray]:
         """Return for each joint its values (K,) within limits that differ from that of `q` (dof,) by whole turns."""

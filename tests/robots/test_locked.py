@@ -185,3 +185,19 @@ def test_large_batches_are_solved_in_pieces(redundant, monkeypatch):
     pieces = redundant.ik.solve(T)
     np.testing.assert_array_equal(pieces.pose_index, whole.pose_index)
     np.testing.assert_allclose(pieces.q, whole.q, atol=1e-7)
+
+
+def test_without_limits_the_joints_beyond_them_are_named(spherical):
+    q = configurations(spherical, 40)
+    joint = spherical.ik.joint
+    turned = next(k for k in (5, 3, 1) if k != joint)
+    q[:, turned] = spherical.upper[turned] + 0.1
+    T = spherical.forward(q)
+    free = spherical.solve_without_limits(T)
+    assert len(free.q) > len(spherical.solve_ik(T).q)
+    distance, angle = pose_distance(spherical.forward(free.q), T[free.pose_index])
+    assert distance.max() < FK_POSITION_TOLERANCE and angle.max() < FK_ROTATION_TOLERANCE
+    beyond = spherical.beyond_limits(free.q)
+    assert not beyond[:, joint].any() and beyond.any()
+    np.testing.assert_array_equal(~beyond.any(axis=1), [spherical.within_limits(x) for x in free.q])
+    assert spherical.beyond_limits(q)[:, turned].all()
