@@ -16,6 +16,9 @@ from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
 from regrasp_opt.feasibility import FeasibilityChecker
 from regrasp_opt.geometry.planar_poses import PlanarPoses
 
+MAX_REGRASPS = 8
+"""Largest number of intermediate poses that can be asked for."""
+
 SIZES = (128, 512, 1024)
 """Numbers of random poses that are tried, one after the other; each keeps those of the one before."""
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 
+from regrasp_opt.planning.explaining import explain
+from regrasp_opt.planning.explanation import Explanation
 from regrasp_opt.planning.plan_data import PlanData
 from regrasp_opt.planning.plan_file import load_plan, save_plan
 from regrasp_opt.planning.residuals import Residuals, compute_residuals
@@ -53,6 +55,36 @@ class RegraspPlan(PlanData):
             Forward-kinematics errors, joint-limit and collision margins of every grasp of every transition.
         """
         return compute_residuals(self)
+
+    def explain(self, *, remedies: bool = True, time_limit: float = 30.0) -> Explanation:
+        """Return why there is no plan: what fails at which pose and why, what is to blame, and what would help.
+
+        It works for a plan from a file as well. Of a solved plan it tells what keeps grasps from being shared.
+
+        Parameters
+        ----------
+        remedies : bool
+            Whether to try changes (poses, obstacles, grasps, end-effectors), with exact checks. That takes seconds,
+            the rest a fraction of one.
+        time_limit : float
+            Seconds after which no further change is tried.
+
+        Returns
+        -------
+        Explanation
+            ``str()`` gives a text, ``.data()`` all of it for JSON.
+        """
+        exact = [entry.get("max_regrasps", entry.get("num_regrasps", 0)) for entry in self.refiner_stats]
+        return explain(
+            self.problem,
+            list(self.poses),
+            self.status.value,
+            solved=self.solved,
+            tried=max(exact, default=0),
+            remedies=remedies,
+            time_limit=time_limit,
+            seed=self.seed,
+        )
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the plan to `path` as JSON, atomically (docs/plan-file.md)."""

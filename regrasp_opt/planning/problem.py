@@ -11,11 +11,14 @@ from typing import Any, Literal
 from numpy.typing import ArrayLike
 
 from regrasp_opt.connectivity import CostOptions
+from regrasp_opt.conventions import as_pose
 from regrasp_opt.errors import GraspError, OptionError, UnknownNameError, WorkcellError
 from regrasp_opt.geometry.shapes import Shape
 from regrasp_opt.grasps import GraspSet, sample_grasps
 from regrasp_opt.objects import ObjectModel, Placement, load_object
 from regrasp_opt.planning.arm_energy import load_arm_energy
+from regrasp_opt.planning.explaining import explain
+from regrasp_opt.planning.explanation import Explanation
 from regrasp_opt.planning.given_grasps import NEAR, Near, usable_grasps
 from regrasp_opt.planning.model_store import ENERGY_FILES, find_model, load_prepared_grasps
 from regrasp_opt.planning.problem_data import ProblemData
@@ -165,6 +168,23 @@ class RegraspProblem(ProblemData):
                 "move the obstacle"
             )
         return replace(self, workcell=workcell, base=self.base or self)
+
+    def explain(self, T: Any, *, remedies: bool = True, time_limit: float = 30.0) -> Explanation:
+        """Return why grasps fail at one pose, also at one where the object cannot rest, and what would help.
+
+        Parameters
+        ----------
+        T : (4, 4)
+            T_world_object.
+        remedies, time_limit
+            Same as in `RegraspPlan.explain`.
+
+        Raises
+        ------
+        PoseError
+            If `T` is not a rigid transform.
+        """
+        return explain(self, [as_pose(T)], "", remedies=remedies, time_limit=time_limit)
 
     def nlp(
         self,

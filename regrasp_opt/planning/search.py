@@ -21,7 +21,7 @@ from regrasp_opt.planning.clock import Clock
 from regrasp_opt.planning.deepening import Search
 from regrasp_opt.planning.ends import resting_end
 from regrasp_opt.planning.equivalents import equivalent_goals
-from regrasp_opt.planning.exact import PORTION, SIZES, Path, RestingPoses
+from regrasp_opt.planning.exact import MAX_REGRASPS, PORTION, SIZES, Path, RestingPoses
 from regrasp_opt.planning.filters import filtered
 from regrasp_opt.planning.plan import RegraspPlan
 from regrasp_opt.planning.plan_data import Status
@@ -31,8 +31,6 @@ from regrasp_opt.planning.verification import PoseFeasibility
 from regrasp_opt.solvers import LatticeRefiner, Refiner
 from regrasp_opt.threads import one_blas_thread
 
-MAX_REGRASPS = 8
-"""Largest number of intermediate poses that can be asked for."""
 MOST_ALTERNATIVES = 100
 """Further plans that can be asked for."""
 
@@ -159,13 +157,15 @@ class _ExactSearch(Search):
         problem, rng = self.problem, np.random.default_rng(self.seed)
         poses = RestingPoses(problem.checker, problem.rests.planar, rng, problem.choices)
         found: RegraspPlan | None = None
+        most = counts.stop - 1
         for size in SIZES if counts else ():
             if self.clock.over:
                 return found or self.result(Status.TIME_LIMIT)
             with self.clock.timed("checks"):
                 while poses.drawn < size and not self.clock.over:
                     poses.grow(min(size, poses.drawn + PORTION))
-            self.stats.append({"refiner": EXACT, "poses": poses.drawn, "graspable": len(poses.xi)})
+            told = {"refiner": EXACT, "max_regrasps": most}
+            self.stats.append({**told, "poses": poses.drawn, "graspable": len(poses.xi)})
             start, goal = (end.all() for end in self.ends)
             better = next(filter(None, map(self._accepted_plan, poses.shortest_paths(start, goal, counts))), None)
             if better is not None:
