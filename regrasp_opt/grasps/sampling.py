@@ -7,14 +7,15 @@ placement are taken only if there are not enough others: such a grasp needs the 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.distance import cdist
 
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, pose_distance
-from regrasp_opt.end_effectors import EndEffector
+from regrasp_opt.end_effectors import END_EFFECTOR_NAMES, EndEffector, load_end_effector
 from regrasp_opt.errors import GraspError, OptionError
-from regrasp_opt.grasps.antipodal import antipodal_candidates
+from regrasp_opt.grasps.antipodal import antipodal_candidates, contact_pairs
 from regrasp_opt.grasps.candidates import NONE, GraspCandidates
 from regrasp_opt.grasps.clearance import GripperClearance
 from regrasp_opt.grasps.grasp_set import GraspSet
@@ -113,11 +114,32 @@ def sample_grasps(
             usable = np.zeros((len(pool.width), 0), dtype=bool) if wanted is None else wanted.free(*pool[:2])
             found = _spread(pool, found, usable, count, scale, lambda T, width: gripper.fitting(T, width, widest))
     if len(found.width) == 0:
-        raise GraspError(
-            f"no grasp of end-effector '{end_effector.name}' fits object '{model.name}'; "
-            "use a wider gripper, a smaller cup or check the object's scale"
-        )
+        why = _why_none(model, end_effector)
+        raise GraspError(f"no grasp of end-effector '{end_effector.name}' fits object '{model.name}': {why}")
     return GraspSet(found.T_object_tcp, found.width, end_effector.kind)
+
+
+def _why_none(model: ObjectModel, end_effector: EndEffector) -> str:
+    """Return why nothing fits an object, and what to do: what is opposed on it, if anything, and how far apart."""
+    if end_effector.kind == "suction":
+        radius = f"{1e3 * end_effector.cup_radius:.0f} mm"
+        return f"nowhere is there room for a cup of radius {radius} to seal; use a smaller cup or a gripper"
+    widest = end_effector.max_opening - 2 * end_effector.pre_opening
+    extent = float(np.linalg.norm(np.ptp(model.vertices, axis=0)))
+    any_jaw = replace(end_effector, max_opening=extent + 2 * end_effector.pre_opening)
+    surface, rng = make_surface(model.mesh), np.random.default_rng(0)
+    widths = contact_pairs(surface, any_jaw, ROUNDS * POINTS, rng)[2]
+    if not len(widths):
+        return "it has no two faces opposite each other; use a suction cup, or check the mesh"
+    if widths.min() <= widest:
+        return "its opposite sides cannot be reached with the gripper clear of it; use a slimmer one or a suction cup"
+    tools = [load_end_effector(name) for name in END_EFFECTOR_NAMES]
+    wide = [tool.name for tool in tools if tool.max_opening - 2 * tool.pre_opening > widths.min()]
+    use = f"use one that opens wider ({', '.join(wide)})" if wide else "use a suction cup"
+    return (
+        f"it is too wide: opposite sides are at least {1e3 * widths.min():.0f} mm apart, and the gripper takes "
+        f"{1e3 * widest:.0f} mm; {use}, or check the object's scale"
+    )
 
 
 def _pool(draw: Callable[[TableRoom | None], GraspCandidates], room: TableRoom | None, enough: int) -> GraspCandidates:
