@@ -118,6 +118,7 @@ def plan(
     density: options.DensityOption = None,
     center_of_mass: options.CenterOption = None,
     inertia: options.InertiaOption = None,
+    explain: Annotated[bool, typer.Option("--explain", help="Where there is no plan, try what would help.")] = False,
     out: Annotated[Path | None, typer.Option(help="Save the plan as JSON.")] = None,
     html: Annotated[Path | None, typer.Option(help="Save a page that shows the plan.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the plan as one JSON object.")] = False,
@@ -144,7 +145,7 @@ def plan(
         problem = problem.with_obstacles(read_obstacles(obstacles, problem.workcell, frame=obstacle_frame))
     search = {"refiner": refiner, "max_regrasps": max_regrasps, "seed": seed, "time_limit": time_limit}
     search |= {"tolerance": options.tolerance_of(tolerance), "symmetry": symmetry}
-    return run_plan(problem, start, goal, search, out=out, html=html, as_json=json)
+    return run_plan(problem, start, goal, search, explain=explain, out=out, html=html, as_json=json)
 
 
 def _was_given(context: typer.Context, name: str) -> bool:
@@ -235,6 +236,7 @@ def inspect(
     density: options.DensityOption = None,
     center_of_mass: options.CenterOption = None,
     inertia: options.InertiaOption = None,
+    pose: Annotated[str | None, typer.Option(metavar="POSE", help="Say why grasps fail at this pose.")] = None,
     html: Annotated[Path | None, typer.Option(help="Write a page that shows the workcell and the object.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the description as one JSON object.")] = False,
 ) -> int:
@@ -248,10 +250,10 @@ def inspect(
     """
     from regrasp_opt.cli.inspect import run_inspect
 
-    if html is not None or (workcell is None and object is None):
+    if html is not None or pose is not None or (workcell is None and object is None):
         workcell, object = workcell or "nova2-w", object or "bottle"
     mesh = options.of_object(scale, repair, thickness, mass, density, center_of_mass, inertia)
-    return run_inspect(workcell, object, mesh, {"end_effector": end_effector}, html=html, as_json=json)
+    return run_inspect(workcell, object, mesh, {"end_effector": end_effector}, pose, html=html, as_json=json)
 
 
 @app.command()

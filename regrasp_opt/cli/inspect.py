@@ -12,16 +12,18 @@ from rich.console import Console
 from rich.markup import escape
 
 from regrasp_opt.cli.output import make_console, plain_table, working
-from regrasp_opt.errors import HomeCollisionError
+from regrasp_opt.errors import GraspError, HomeCollisionError, RegraspError
 from regrasp_opt.objects import ObjectModel, load_object
 from regrasp_opt.objects.changes import Changes
 from regrasp_opt.planning import RegraspProblem
+from regrasp_opt.planning.explanation import Explanation
 from regrasp_opt.planning.inspection import (
     counted_bodies,
     describe_grasps,
     describe_object,
     describe_workcell,
 )
+from regrasp_opt.planning.pose_text import parse_pose
 from regrasp_opt.planning.rests import Rests
 from regrasp_opt.scene import Workcell, load_workcell
 
@@ -31,28 +33,39 @@ def run_inspect(
     object_name: str | None,
     mesh: dict[str, Any],
     cell: dict[str, Any],
+    pose: str | None,
     *,
     html: Path | None,
     as_json: bool,
 ) -> int:
-    """Print what was understood of the workcell, the object and the grasps of both; return 0.
+    """Print what was understood of the workcell, the object and the grasps of both, or of one pose; return 0.
 
     `mesh` and `cell` are options of `load_object` and `load_workcell`. A workcell that is refused because the arm
-    collides at home is described before the error is raised.
+    collides at home, and an object that no grasp fits, are described before the error is raised.
     """
-    workcell, refused = None, None
+    workcell, refused = None, list[RegraspError]()
     if cell_name is not None:
         try:
             workcell = load_workcell(cell_name, **cell)
         except HomeCollisionError as error:
-            workcell, refused = error.workcell, error
+            workcell, refused = error.workcell, [error]
     model = None if object_name is None else load_object(object_name, **mesh)
-    problem = _problem(model, workcell)
+    problem = None
+    try:
+        problem = _problem(model, workcell)
+    except GraspError as error:
+        refused.append(error)
     data = {
         "workcell": None if workcell is None else describe_workcell(workcell),
         "object": None if model is None else describe_object(model),
         "grasps": None if problem is None else describe_grasps(problem),
     }
+    explanation = None
+    if pose is not None and problem is not None:
+        T = parse_pose(pose, "pose", problem)
+        with working("looking for the causes and what would help"):
+            explanation = problem.explain(T)
+        data = {"explanation": explanation.data()}
     if html is not None and model is not None and workcell is not None:
         from regrasp_opt.viz import write_problem_page
 
@@ -60,17 +73,19 @@ def run_inspect(
     if as_json:
         print(json.dumps(data))
     else:
-        _show(data, html)
-    if refused is not None:
-        raise refused
+        _show(data, explanation, html)
+    if refused:
+        raise refused[0]
     return 0
 
 
-def _show(data: dict[str, Any], html: Path | None) -> None:
+def _show(data: dict[str, Any], explanation: Explanation | None, html: Path | None) -> None:
     console = make_console()
-    if data["workcell"] is not None:
+    if explanation is not None:
+        console.print(str(explanation), markup=False, soft_wrap=True)
+    if data.get("workcell") is not None:
         _show_workcell(console, data["workcell"])
-    if data["object"] is not None:
+    if data.get("object") is not None:
         _show_object(console, data["object"])
         _show_placements(console, data["object"], data["grasps"])
     if html is not None:

@@ -12,10 +12,11 @@ from rich.markup import escape
 
 from regrasp_opt.cli.output import make_console, plain_table, working
 from regrasp_opt.conventions import as_seed
-from regrasp_opt.errors import RegraspError
+from regrasp_opt.errors import PoseError, RegraspError
 from regrasp_opt.planning import RegraspPlan, RegraspProblem, solve_sequence
 from regrasp_opt.planning.arm_energy import train_arm_energy
 from regrasp_opt.planning.ends import resting_end
+from regrasp_opt.planning.explanation import Explanation
 from regrasp_opt.planning.plan_file import plan_summary
 from regrasp_opt.planning.pose_text import describe_pose, parse_pose
 from regrasp_opt.planning.problem_data import TRAINING_SAID
@@ -31,11 +32,15 @@ def run_plan(
     goal: str | None,
     search: dict[str, Any],
     *,
+    explain: bool,
     out: Path | None,
     html: Path | None,
     as_json: bool,
 ) -> int:
-    """Plan with the options `search` of `solve_sequence`, print and save; return 0 if solved, else 1."""
+    """Plan with the options `search` of `solve_sequence`, print and save; return 0 if solved, else 1.
+
+    Where there is no plan the output says why, and with `explain` what would help, also against a pose that is refused.
+    """
     exact = search["refiner"] == EXACT
     if not exact:
         as_recipe(search["refiner"])  # an unknown name is refused before anything is trained for it
@@ -49,8 +54,13 @@ def run_plan(
         with progress() as show:
             train_arm_energy(problem.workcell, progress=show)
     logger.info("%d grasps, %d placements", len(problem.grasps), len(problem.rests))
-    with working(f"planning up to {search['max_regrasps']} regrasp(s)", search["time_limit"]):
-        plan = solve_sequence(problem, task.start, task.goal, **search)
+    try:
+        with working(f"planning up to {search['max_regrasps']} regrasp(s)", search["time_limit"]):
+            plan = solve_sequence(problem, task.start, task.goal, **search)
+    except PoseError:
+        if explain and not as_json:
+            _explain_refused(problem, task)
+        raise
     for tried in plan.refiner_stats:
         logger.info("tried %s", ", ".join(f"{key} {value}" for key, value in tried.items()))
     logger.info("%s; seconds: %s", plan.status.name.lower(), {k: round(v, 3) for k, v in plan.timings.items()})
@@ -60,10 +70,17 @@ def run_plan(
         from regrasp_opt.viz import write_plan_page
 
         write_plan_page(plan, html)
+    explanation = None
+    if not plan.solved:
+        with working("looking for what would help" if explain else "looking for the causes"):
+            explanation = plan.explain(remedies=explain)
     if as_json:
-        print(json.dumps(plan_summary(plan) | {"remarks": plan.remarks}, allow_nan=False))
+        more = {} if explanation is None else {"explanation": explanation.data()}
+        print(json.dumps(plan_summary(plan) | {"remarks": plan.remarks} | more, allow_nan=False))
     else:
-        _print(plan, [path for path in (out, html) if path is not None])
+        _print(plan, explanation, [path for path in (out, html) if path is not None])
+        if explanation is not None and explanation.causes and not explain:
+            make_console().print("--explain tries what would help")
     return 0 if plan.solved else 1
 
 
@@ -84,12 +101,23 @@ def _task(
     return Task(given.get("start", task.start), given.get("goal", task.goal), task.shared)
 
 
-def _print(plan: RegraspPlan, written: list[Path]) -> None:
+def _explain_refused(problem: RegraspProblem, task: Task) -> None:
+    """Say what is wrong with each end that is refused, and where it could be."""
+    for name, T in (("start", task.start), ("goal", task.goal)):
+        with working(f"looking for another {name}"):
+            explanation = problem.explain(T)
+        if explanation.causes:
+            make_console().print(f"{name}: {explanation}", markup=False, soft_wrap=True)
+
+
+def _print(plan: RegraspPlan, explanation: Explanation | None, written: list[Path]) -> None:
     console = make_console()
     problem = plan.problem
     colour = "green" if plan.solved else "red"
-    text = escape(plan.message.removeprefix("solved: "))
+    text = escape(plan.status.value.removeprefix("solved: "))
     console.print(f"[bold {colour}]{plan.status.name.lower()}[/]: {text}", soft_wrap=True)
+    for line in [] if explanation is None else explanation.lines():
+        console.print(f"  {line}", markup=False, soft_wrap=True)
     if plan.solved:
         console.print(
             f"{escape(problem.object.name)} in {escape(problem.workcell.name)}: {plan.num_regrasps} regrasp(s), "
