@@ -91,6 +91,7 @@ def _content(scene: PlanScene) -> dict[str, Any]:
         "grasps": [_grasps(shared) for shared in scene.grasps],
         "marks": _rounded(scene.marks),
         "fields": [_field(field) for field in scene.fields],
+        "causes": [{"legend": each.legend, "of_grasp": each.of_grasp.tolist()} for each in scene.causes],
         "candidates": _candidates(scene.candidates),
         "scale": SCALE,
         "table_height": scene.table_height,

@@ -17,6 +17,7 @@ from regrasp_opt.objects import ObjectModel
 from regrasp_opt.planning import RegraspPlan
 from regrasp_opt.scene import Workcell
 from regrasp_opt.viz.candidates import CandidateTrace
+from regrasp_opt.viz.causes import GraspCauses, grasp_causes
 from regrasp_opt.viz.fields import CostField, cost_field, grasp_energies, has_energy
 from regrasp_opt.viz.looks import BASE, COLOURS, Part, body_poses, grasp_mark, gripper_parts, robot_parts
 from regrasp_opt.viz.surfaces import Patch, shape_surface
@@ -27,11 +28,15 @@ SCALE = tuple(colour for _, colour in get_colorscale("Viridis"))
 
 
 class Step(NamedTuple):
-    """A position of the slider: its label, the transition that it belongs to, and the row of the scene's states."""
+    """A position of the slider: its label, the transition that it belongs to, and the row of the scene's states.
+
+    `pose` is the number of the plan's pose that the object rests at, -1 if it moves.
+    """
 
     label: str
     transition: int
     state: int
+    pose: int = -1
 
 
 class SharedGrasps(NamedTuple):
@@ -86,6 +91,8 @@ class PlanScene:
         Where to look from, and at what [m].
     candidates : CandidateTrace or None
         Candidates of a refiner by iteration.
+    causes : tuple of GraspCauses
+        Why grasps fail at each pose of the plan.
     """
 
     title: str
@@ -104,6 +111,7 @@ class PlanScene:
     eye: FloatArray
     target: FloatArray
     candidates: CandidateTrace | None = None
+    causes: tuple[GraspCauses, ...] = ()
 
 
 def plan_scene(plan: RegraspPlan, track: Track | None = None, candidates: CandidateTrace | None = None) -> PlanScene:
@@ -138,6 +146,7 @@ def plan_scene(plan: RegraspPlan, track: Track | None = None, candidates: Candid
         eye=eye,
         target=target,
         candidates=candidates,
+        causes=grasp_causes(plan) if track is None else (),
     )
 
 
@@ -204,7 +213,8 @@ def _picks_and_places(plan: RegraspPlan) -> tuple[FloatArray, list[Step], list[S
     """Return the states in which every shared grasp picks and places, the steps of the clearest, and the grasps."""
     dof, width = plan.problem.workcell.arm.robot.dof, plan.problem.grasps.width
     if not plan.transitions:
-        return _at_rest(plan.problem.workcell, plan.poses[:1]), [Step("start", -1, 0)], []
+        names = ["start", *(f"pose {i}" for i in range(1, plan.num_regrasps + 1)), "goal"]
+        return _at_rest(plan.problem.workcell, plan.poses), [Step(n, -1, i, i) for i, n in enumerate(names)], []
     energies = grasp_energies(plan) if has_energy(plan) else None
     states, steps, grasps, row = [], [], [], 0
     for i, t in enumerate(plan.transitions):
@@ -214,7 +224,7 @@ def _picks_and_places(plan: RegraspPlan) -> tuple[FloatArray, list[Step], list[S
         energy = np.full(count, np.nan) if energies is None else energies[i]
         colours = scaled_colours(-t.clearance if energies is None else energy)
         grasps.append(SharedGrasps(t.grasp_ids, energy, t.clearance, colours, best, row))
-        steps += [Step(f"move {i}: {what}", i, row + 2 * best + k) for k, what in enumerate(("pick", "place"))]
+        steps += [Step(f"move {i}: {what}", i, row + 2 * best + k, i + k) for k, what in enumerate(("pick", "place"))]
         row += 2 * count
     return np.concatenate(states), steps, grasps
 

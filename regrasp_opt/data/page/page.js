@@ -162,7 +162,11 @@
     const h = scene.table_height + 0.0012, [x, y] = [0.45, 0.55];
     return new Float32Array([1, 0, 0, 0, 0, 1, 0, 0, -x, -y, 0, 0, x * h, y * h, h, 1]);
   };
+  const causesHere = () => element("causes").checked && scene.causes[scene.steps[step].pose] || null;
+  const bytes = (colour) => rgb(colour).map((c) => 255 * c);
   const marksShown = () => {
+    const causes = causesHere();
+    if (causes) return causes.of_grasp.map((c, id) => ({ id, k: id, colour: bytes(causes.legend[c][1]) }));
     const g = scene.grasps[scene.steps[step].transition];
     return element("marks").checked && g ? g.ids.map((id, k) => ({ id, k, colour: g.colours[k] })) : [];
   };
@@ -238,7 +242,7 @@
     gl.disable(gl.BLEND);
     for (const part of others) draw(part.mesh, pose(part), part.rgb);
     for (const { id, k, colour } of marksShown()) {
-      const picked = chosen[scene.steps[step].transition] === k;
+      const picked = !causesHere() && chosen[scene.steps[step].transition] === k;
       draw(meshes[scene.mark], markMatrix(id), picked ? red : colour.map((c) => c / 255));
     }
     const drawn = [bodyPose(state, bodies - 1)];
@@ -269,27 +273,36 @@
     element("what").textContent = costs ? "J_seq" : energies ? "energy of a grasp" : "clearance [mm]";
     const ends = costs ? costs : g ? g.ends : [null, null];
     [element("low").textContent, element("high").textContent] = ends.map((x) => x === null ? "-" : String(Number(x.toFixed(3))));
+    const causes = causesHere();
+    for (const id of ["scale", "ends"]) element(id).style.visibility = g && !causes || costs ? "visible" : "hidden";
+    element("causekeys").replaceChildren(...(causes ? causes.legend : []).filter(([, , count]) => count)
+      .map(([name, colour, count]) => key(`${count} ${name}`, colour)));
+    if (causes) element("info").textContent = "Click a grasp.";
     if (candidates) element("stage").textContent = candidates.labels[frame()];
     redraw();
   }
   const describe = (g, k) => `grasp ${g.ids[k]}, one of ${g.ids.length} shared: energy ${number(g.energies[k], 3)}, ` +
     `clearance ${number(1e3 * g.clearance[k], 1)} mm.${moves ? "" : " Click another."}`;
-  function choose(transition, k) { chosen[transition] = k; show(step); }
-  element("title").textContent = scene.title;
-  element("subtitle").textContent = scene.subtitle;
-  element("scale").style.background = `linear-gradient(90deg, ${scene.scale.join(",")})`;
-  for (const { name, colour } of ghosts) {
+  const key = (name, colour) => {
     const key = document.createElement("span"), patch = document.createElement("i");
     key.className = "key";
     patch.style.background = colour;
     key.append(patch, name);
-    element("keys").append(key);
-  }
+    return key;
+  };
+  function choose(transition, k) { chosen[transition] = k; show(step); }
+  element("title").textContent = scene.title;
+  element("subtitle").textContent = scene.subtitle;
+  element("scale").style.background = `linear-gradient(90deg, ${scene.scale.join(",")})`;
+  element("keys").append(...ghosts.map(({ name, colour }) => key(name, colour)));
+  element("markline").hidden = scene.grasps.length === 0;
+  element("causeline").hidden = scene.causes.length === 0;
+  element("causes").checked = scene.causes.length > 0 && scene.grasps.length === 0;
   fields.forEach((field, k) => element("field").append(new Option(`of pose ${field.number}`, k)));
   element("fieldline").hidden = fields.length === 0;
   element("slider").max = scene.steps.length - 1;
   element("slider").addEventListener("input", (event) => { playing = false; caption(); show(Number(event.target.value)); });
-  for (const id of ["ghosts", "marks", "field", "candidates"]) element(id).addEventListener("change", () => show(step));
+  for (const id of ["ghosts", "marks", "causes", "field", "candidates"]) element(id).addEventListener("change", () => show(step));
   if (candidates) {
     element("candidateline").hidden = false;
     element("iteration").max = candidates.labels.length - 1;
@@ -357,7 +370,10 @@
       const [a, b] = screen(id);
       return { k, distance: Math.hypot(a - x, b - y) };
     }).sort((a, b) => a.distance - b.distance)[0];
-    if (near && near.distance < 22) choose(scene.steps[step].transition, near.k);
+    if (!near || near.distance >= 22) return;
+    const causes = causesHere();
+    if (!causes) choose(scene.steps[step].transition, near.k);
+    else element("info").textContent = `grasp ${near.k}: ${causes.legend[causes.of_grasp[near.k]][0]}`;
   }
   show(0);
   const look = (nearer) => { camera.distance *= nearer; redraw(); };
