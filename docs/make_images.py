@@ -32,6 +32,7 @@ from regrasp_opt.viz.plots import plot_cost_landscape, plot_cost_traces, plot_po
 IMAGES = Path(__file__).parent / "images"
 START, GOAL = "1:0.26,0.40,-30", "0:-0.26,0.40,10"
 HIDE_CARDS = "for (const card of document.querySelectorAll('.card')) card.style.visibility = 'hidden';"
+BLOCKED = "0:0.26,0.38,20", "1:-0.26,0.40,10"
 SWEPT = "0:0.29,0.47,70", "0:-0.39,0.55,0"
 """Ends on one side of the bottle that share no grasp."""
 STYLES = [
@@ -144,6 +145,18 @@ def photograph_candidates(browser: webdriver.Chrome, plan: RegraspPlan, trace: C
     save_strip(panels, tuple(trace.label(k).split(", ")[1].split(":")[0] for k in frames), "candidates.png")
 
 
+def photograph_causes(browser: webdriver.Chrome, problem: RegraspProblem, page: Path) -> None:
+    """Save a picture of the page of a plan that failed: a wall is in the way of the start."""
+    wall = {"type": "box", "name": "wall", "size": [0.3, 0.02, 0.3], "position": [0.26, 0.30, 0.15]}
+    blocked = problem.with_obstacles([wall])
+    plan = solve_sequence(blocked, *(parse_pose(text, "pose", blocked) for text in BLOCKED))
+    assert not plan.solved
+    write_plan_page(plan, page)
+    browser.get(page.as_uri())
+    browser.execute_script("plan.look(0.85)")
+    photograph(browser, 1280, 760).save(IMAGES / "causes.png", optimize=True)
+
+
 def draw_sweep(problem: RegraspProblem) -> Figure:
     """Return a picture of the costs while the intermediate pose moves from the goal to the start (Fig. 5)."""
     ends = [parse_pose(text, "pose", problem) for text in SWEPT]
@@ -191,6 +204,7 @@ def main() -> None:
                 browser.execute_script(f"plan.show({step})")
                 panels.append(photograph(browser, 520, 480))
             photograph_candidates(browser, plan, trace, page)
+            photograph_causes(browser, plan.problem, page)
         finally:
             browser.quit()
     save_strip(panels, CAPTIONS, "plan.png")
