@@ -153,7 +153,7 @@ def not_shared(folder, rng, number):
     from regrasp_opt import solve_sequence
 
     task = Task(BUILT_IN[number % 4], _cell(folder, "nova2"), named="no shared grasp")
-    task.most, task.keep = (0, GRASPS) if number % 2 else (1, 8)
+    task.most, task.keep = (0, GRASPS) if number % 2 else (1, 4)
     problem = task.problem()
     for _ in count():
         (task.start, first), (task.goal, last) = _graspable(problem, rng), _graspable(problem, rng)
