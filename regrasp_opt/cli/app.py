@@ -372,7 +372,7 @@ def bench(
         typer.Argument(
             metavar="EXPERIMENT",
             help="cost-sweep, one-step, unseen, cross-effector, multi-step, hard-tiers, refiners, ablations, "
-            "joint, motion, any or speed.",
+            "joint, motion, any, arms or speed.",
             autocompletion=names(EXPERIMENTS),
         ),
     ],

@@ -9,6 +9,7 @@ from rich.markdown import Markdown
 
 from regrasp_opt.benchmarks.comparisons.ablations import run_ablations
 from regrasp_opt.benchmarks.comparisons.any import run_any
+from regrasp_opt.benchmarks.comparisons.arms import run_arms
 from regrasp_opt.benchmarks.comparisons.joint import run_joint
 from regrasp_opt.benchmarks.comparisons.motion import run_motion
 from regrasp_opt.benchmarks.comparisons.refiners import run_refiners
@@ -36,6 +37,7 @@ EXPERIMENTS: dict[str, Callable[[Session], Report]] = {
     "joint": run_joint,
     "motion": run_motion,
     "any": run_any,
+    "arms": run_arms,
     "speed": run_speed,
 }
 """The experiments by their names on the command line."""

@@ -8,7 +8,7 @@ from importlib.resources import files
 OBJECTS = ("bottle", "figurine", "mug", "pentagon")
 REFINERS = ("exact", "ipopt", "langevin", "langevin-ipopt", "lattice", "paper")
 EXPERIMENTS = (
-    *("ablations", "any", "cost-sweep", "cross-effector", "hard-tiers", "joint", "motion"),
+    *("ablations", "any", "arms", "cost-sweep", "cross-effector", "hard-tiers", "joint", "motion"),
     *("multi-step", "one-step", "refiners", "speed", "unseen"),
 )
 

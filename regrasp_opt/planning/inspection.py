@@ -74,7 +74,7 @@ def describe_robot(robot: Robot) -> Data:
 
 def _why_tip(robot: Robot) -> str:
     root = urdf.parse_xml(robot.urdf)
-    if robot.tip_frame != urdf.default_tip(root, urdf.joint_of_child(root, Path(robot.urdf_path))):
+    if robot.tip_frame != urdf.default_tip(root, urdf.joint_of_child(root, Path(robot.urdf_path))).link:
         return "it was asked for"
     return "a link of that name is taken as the tip" if robot.tip_frame in urdf.PREFERRED_TIPS else "the arm ends there"
 
@@ -104,7 +104,8 @@ def _never_tested(robot: Robot) -> list[Data]:
         for b in links[k + 1 :]:
             if joint_of[a] == joint_of[b] or frozenset((a, b)) in tested:
                 continue
-            why = "ignore_collisions names them" if frozenset((a, b)) in robot.ignored else "a joint connects them"
+            named = frozenset((a, b)) in robot.ignored
+            why = "ignore_collisions or the SRDF names them" if named else "a joint connects them"
             found.append({"links": [a, b], "why": why})
     return found
 

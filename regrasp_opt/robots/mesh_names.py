@@ -18,9 +18,9 @@ def settle_meshes(root: ET.Element, path: Path, package_dirs: Iterable[str | os.
     """Make the names of all mesh and texture files absolute, in place; those of visuals only where they are found.
 
     A package is a folder of its name, or one whose package.xml has that name. It is looked for among `package_dirs`,
-    what is directly in them, the folders above the URDF file, and what is named like it directly in those. Collision
-    meshes elsewhere than in the folder of the URDF file, in its own package and in `package_dirs` are reported in one
-    warning.
+    what is directly in them, the folders above the URDF file, what is named like it directly in those, and the packages
+    beside its own. Collision meshes elsewhere than in the folder of the URDF file, in its own package and in
+    `package_dirs` are reported in one warning.
 
     Raises
     ------
@@ -59,8 +59,23 @@ def _candidates(name: str, path: Path, given: Sequence[Path], above: Sequence[Pa
         return [folder / inner.lstrip("/") for folder in folders]
     roots = [folder / package for folder in folders]
     roots += [folder for folder in folders if package in (folder.name, _package_name(folder))]
-    roots += [child for folder in given for child in _children(folder) if _package_name(child) == package]
+    roots += [
+        child for folder in _holding(given, above) for child in _children(folder) if _package_name(child) == package
+    ]
     return [root / inner for root in roots if os.path.isdir(root)]
+
+
+def packages_around(path: Path, package_dirs: Iterable[str | os.PathLike[str]]) -> dict[str, Path]:
+    """Return the packages that the file at `path` may name, by name: the same as in `settle_meshes`."""
+    given, above = [Path(folder) for folder in package_dirs], list(path.resolve().parents)
+    around = [child for folder in _holding(given, above) for child in _children(folder)] + above[::-1] + given
+    return {name: folder for folder in around if (name := _package_name(folder)) is not None}
+
+
+def _holding(given: Sequence[Path], above: Sequence[Path]) -> list[Path]:
+    """Return the folders whose own folders may be packages: those `given`, and that of the robot's own package."""
+    own = next((folder for folder in above if _package_name(folder) is not None), None)
+    return [*given, *([own.parent] if own is not None else [])]
 
 
 def _advice(name: str, path: Path, given: Sequence[Path], candidates: Sequence[Path]) -> str:

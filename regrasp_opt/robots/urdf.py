@@ -13,6 +13,7 @@ import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 from xml.parsers import expat
 
 import pinocchio as pin
@@ -25,6 +26,12 @@ PREFERRED_TIPS = ("tool0", "flange", "ee_link")
 """Link names taken as the tip, the first one present, when none is asked for."""
 
 MOVING = {"revolute", "continuous", "prismatic"}
+
+JAW = re.compile("grip|finger|jaw|claw|knuckle", re.IGNORECASE)
+"""What joints of grippers, or the links that they move, are called."""
+
+NAMED = 5
+"""How many joints or links a message names."""
 
 LARGEST_OFFSET = 100.0
 """How far from each other joints are believed to be, and how far a joint to slide [m]."""
@@ -58,8 +65,10 @@ def parse_xml(content: bytes) -> ET.Element:
     return tree.close()
 
 
-def read_urdf(path: Path) -> ET.Element:
+def read_urdf(path: Path, content: bytes | None = None) -> ET.Element:
     """Return the root element of the URDF file at `path`, with quaternions of joints as roll, pitch and yaw.
+
+    `content` is what was made of the file, where it is not a URDF itself.
 
     Raises
     ------
@@ -67,7 +76,7 @@ def read_urdf(path: Path) -> ET.Element:
         If the file is missing, is not XML, holds no robot, or a joint has a malformed quaternion.
     """
     try:
-        content = path.read_bytes()
+        content = path.read_bytes() if content is None else content
     except (OSError, ValueError) as error:
         raise WorkcellError(f"robot file {path} cannot be read; give the path of a URDF file") from error
     try:
@@ -75,7 +84,7 @@ def read_urdf(path: Path) -> ET.Element:
     except ValueError as error:
         raise WorkcellError(f"robot file {path} is not valid XML: {error}") from error
     if root.tag != "robot" or root.find("link") is None:
-        raise WorkcellError(f"robot file {path} has no <robot> with links; give a URDF file (expand xacro first)")
+        raise WorkcellError(f"robot file {path} has no <robot> with links; give a URDF file, or a .xacro file")
     for joint in root.iterfind("joint"):
         for origin in joint.iterfind("origin[@quat_xyzw]"):
             _turn_to_rpy(origin, f"{path}: joint '{joint.get('name')}'")
@@ -105,7 +114,7 @@ def joint_of_child(root: ET.Element, path: Path) -> dict[str, ET.Element]:
     links = {link.get("name", "") for link in root.iterfind("link")}
     joints: dict[str, ET.Element] = {}
     for joint in root.iterfind("joint"):
-        parent, child = (_link_name(joint, tag) for tag in ("parent", "child"))
+        parent, child = (link_name(joint, tag) for tag in ("parent", "child"))
         for name in (parent, child):
             if name not in links:
                 raise WorkcellError(
@@ -119,34 +128,57 @@ def joint_of_child(root: ET.Element, path: Path) -> dict[str, ET.Element]:
     return joints
 
 
-def _link_name(joint: ET.Element, tag: str) -> str:
+def link_name(joint: ET.Element, tag: str) -> str:
+    """Return the name of the link that `joint` has as its ``"parent"`` or ``"child"``."""
     element = joint.find(tag)
     return "" if element is None else element.get("link", "")
 
 
-def default_tip(root: ET.Element, joints: dict[str, ET.Element]) -> str:
+class Tip(NamedTuple):
+    """The link at which an arm ends, those that are fixed to it, and the joints of a gripper that move beyond it."""
+
+    link: str
+    rigid: tuple[str, ...] = ()
+    beyond: tuple[str, ...] = ()
+
+
+def default_tip(root: ET.Element, joints: dict[str, ET.Element]) -> Tip:
     """Return the tip when none is given: a link named as in `PREFERRED_TIPS`, else where the arm ends.
 
-    The arm ends at the first link from which no part, or more than one part, moves on (a gripper's fingers).
+    The arm ends at the first link from which no part, more than one part, or the jaw of a gripper moves on.
     """
     links = [link.get("name", "") for link in root.iterfind("link")]
     for name in PREFERRED_TIPS:
         if name in links:
-            return name
+            return Tip(name)
     children: dict[str, list[str]] = {name: [] for name in links}
     for child, joint in joints.items():
-        children[_link_name(joint, "parent")].append(child)
+        children[link_name(joint, "parent")].append(child)
 
-    def moves(link: str) -> bool:
-        return joints[link].get("type") in MOVING or any(moves(child) for child in children[link])
+    def beyond(link: str) -> list[str]:
+        """Return the joints that move in what hangs from `link`, its own among them."""
+        own = [joints[link].get("name", "")] if joints[link].get("type") in MOVING else []
+        return own + [name for child in children[link] for name in beyond(child)]
 
-    here = next(name for name in links if name not in joints)
-    while children[here]:
-        onward = [child for child in children[here] if moves(child)] or children[here]
-        if len(onward) > 1:
+    here, rigid, passed = next(name for name in links if name not in joints), list[str](), False
+    while True:
+        rigid.append(here)
+        onward = [child for child in children[here] if beyond(child)]
+        ahead = onward or children[here]
+        if len(ahead) != 1 or (passed and _is_jaw(joints[ahead[0]])):
             break
-        here = onward[0]
-    return here
+        (here,) = ahead
+        if joints[here].get("type") in MOVING:
+            rigid, passed = [], passed or not _is_jaw(joints[here])
+    fixed = [child for child in children[here] if child not in onward]
+    moving = [name for child in onward for name in beyond(child)] if passed else []
+    return Tip(here, (*rigid, *fixed), tuple(moving))
+
+
+def _is_jaw(joint: ET.Element) -> bool:
+    """Return whether `joint` looks like one of a gripper: by its name, or as it follows another."""
+    named = JAW.search(f"{joint.get('name')} {link_name(joint, 'child')}") is not None
+    return joint.get("type") in MOVING and (named or joint.find("mimic") is not None)
 
 
 def chain_to(tip: str, root: ET.Element, joints: dict[str, ET.Element], path: Path) -> list[ET.Element]:
@@ -173,7 +205,7 @@ def chain_to(tip: str, root: ET.Element, joints: dict[str, ET.Element], path: Pa
         if joint.find("mimic") is not None:
             raise WorkcellError(f"{path}: joint '{name}' on the way to the tip mimics another; choose a tip before it")
         chain += [joint] if kind != "fixed" else []
-        tip = _link_name(joint, "parent")
+        tip = link_name(joint, "parent")
         if tip in seen:
             raise WorkcellError(f"{path}: the joints form a loop at link '{tip}'; a robot must be a tree")
         seen.add(tip)
@@ -196,11 +228,11 @@ def kinematics(root: ET.Element, chain: Iterable[str], path: Path) -> bytes:
         tags = ("parent", "child", "origin", "axis") if moves else ("parent", "child", "origin")
         copy.extend(part for tag in tags for part in joint.iterfind(tag))
         if moves:
-            ET.SubElement(copy, "limit", {key: repr(value) for key, value in _limits(joint, path).items()})
+            ET.SubElement(copy, "limit", {key: repr(value) for key, value in limits(joint, path).items()})
     return ET.tostring(plain)
 
 
-def _limits(joint: ET.Element, path: Path) -> dict[str, float]:
+def limits(joint: ET.Element, path: Path) -> dict[str, float]:
     """Return lower, upper, velocity and effort of a moving joint; a continuous one gets +-2 pi.
 
     Raises
@@ -232,9 +264,9 @@ def _limits(joint: ET.Element, path: Path) -> dict[str, float]:
 
 def report_limits(chain: Sequence[ET.Element], path: Path) -> None:
     """Log a line where more than two turns may be meant in degrees, and one where no speed is given."""
-    limits = {str(joint.get("name")): _limits(joint, path) for joint in chain}
+    known = {str(joint.get("name")): limits(joint, path) for joint in chain}
     turning = [str(joint.get("name")) for joint in chain if joint.get("type") == "revolute"]
-    far = [name for name in turning if max(-limits[name]["lower"], limits[name]["upper"]) > TWO_TURNS]
+    far = [name for name in turning if max(-known[name]["lower"], known[name]["upper"]) > TWO_TURNS]
     if far:
         text = "%s: joints may turn by more than two turns (%s); if their limits are degrees, give radians"
         logger.warning(text, path, ", ".join(far))
@@ -244,11 +276,30 @@ def report_limits(chain: Sequence[ET.Element], path: Path) -> None:
         logger.warning(text, path, ", ".join(silent), SPEEDS["revolute"], SPEEDS["prismatic"])
 
 
+def report_tip(tip: Tip, path: Path) -> None:
+    """Log a line where a gripper of the URDF itself is beyond the tip that was taken."""
+    if tip.beyond:
+        logger.warning(
+            "%s: the arm is taken to end at '%s', before %s; give as the tip the link that carries the tool (one of "
+            "%s), and leave out the URDF's own gripper where it is not there",
+            path,
+            tip.link,
+            ", ".join(tip.beyond[:NAMED]) + (f" and {len(tip.beyond) - NAMED} more" if len(tip.beyond) > NAMED else ""),
+            ", ".join(tip.rigid),
+        )
+
+
 def _number(text: str) -> float:
     try:
         return float(text)
     except ValueError:
         return math.nan
+
+
+def numbers(text: str, count: int) -> list[float]:
+    """Return the `count` finite numbers in `text`; none if it holds anything else."""
+    found = [_number(word) for word in text.split()]
+    return found if len(found) == count and all(map(math.isfinite, found)) else []
 
 
 def closest(name: str, known: Iterable[str]) -> list[str]:

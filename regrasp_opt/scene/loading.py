@@ -24,6 +24,7 @@ from regrasp_opt.scene.arm import Arm
 from regrasp_opt.scene.collision_world import collision_at_home
 from regrasp_opt.scene.schema import (
     ArmSection,
+    MountingSection,
     ObstacleSection,
     ObstaclesFile,
     SupportSection,
@@ -38,8 +39,10 @@ from regrasp_opt.schemas import parse_toml, read_toml, validated
 logger = logging.getLogger(__name__)
 
 WORKCELL_NAMES = tuple(f"nova2-{name}" for name in END_EFFECTOR_NAMES)
-"""The built-in workcells: the Nova2 with each of the built-in end-effectors."""
+"""The built-in workcells with the arm whose energies come along: the Nova2 with each of the built-in end-effectors."""
 
+FURTHER_WORKCELL_NAMES = ("iiwa7-w", "kinova-w", "panda-w", "ur10-r140", "ur5-r85", "xarm7-w", "z1-w")
+"""Built-in workcells with other arms. But for the iiwa's, their URDF files come with the extra ``robots``."""
 
 FRICTION = 0.5
 """Friction between objects and a board that gives none: the tangent of the tilt up to which objects stay."""
@@ -60,8 +63,8 @@ def load_workcell(
     Parameters
     ----------
     name_or_path : str or path
-        One of `WORKCELL_NAMES`, or a file. A string is a path when it ends in ``.toml`` or has a folder in
-        it. Paths within the file are relative to its folder.
+        One of `WORKCELL_NAMES` or `FURTHER_WORKCELL_NAMES`, or a file. A string is a path when it ends in
+        ``.toml`` or has a folder in it. Paths within the file are relative to its folder.
     end_effector : str or path, optional
         End-effector to use in place of the file's, by name or by path.
 
@@ -73,12 +76,13 @@ def load_workcell(
         If the file cannot be read, or holds a wrong key, value or geometry; the message names the file, the
         key and what is allowed.
     """
-    if isinstance(name_or_path, str) and name_or_path in WORKCELL_NAMES:
+    names = (*WORKCELL_NAMES, *FURTHER_WORKCELL_NAMES)
+    if isinstance(name_or_path, str) and name_or_path in names:
         path = Path(str(files("regrasp_opt"))) / "data" / "workcells" / f"{name_or_path}.toml"
         return _build(path, "built-in", end_effector)
     path = Path(name_or_path)
     if isinstance(name_or_path, str) and path.suffix.lower() != ".toml" and path.name == name_or_path:
-        raise UnknownNameError("workcell", name_or_path, WORKCELL_NAMES)
+        raise UnknownNameError("workcell", name_or_path, names)
     return _build(path, str(path), end_effector)
 
 
@@ -227,7 +231,7 @@ def _named_files(content: WorkcellFile, path: Path, override: str | os.PathLike[
     (arm,) = content.arms
     models = [arm.robot, *([arm.end_effector] if override is None else [])]
     named = [file for file in (_relative(name, path.parent) for name in models) if isinstance(file, Path)]
-    named += [path.parent / name for name in arm.package_dirs]
+    named += [path.parent / name for name in (*arm.package_dirs, *([] if arm.srdf is None else [arm.srdf]))]
     bodies = [body for support in content.supports for body in support.bodies or ()]
     return named + [path.parent / section.file for section in (*content.obstacles, *bodies) if section.file is not None]
 
@@ -300,16 +304,16 @@ def _check_supports(workcell: Workcell, path: Path) -> None:
 
 
 def _robot(section: ArmSection, path: Path, keys: _Keys) -> Robot:
+    names = MountingSection.model_fields.keys() - {"position", "rpy"}
+    options: dict[str, Any] = {name: getattr(section, name) for name in names}
+    options["package_dirs"] = [path.parent / name for name in section.package_dirs]
+    options["srdf"] = None if section.srdf is None else path.parent / section.srdf
     try:
-        return load_robot(
-            _relative(section.robot, path.parent),
-            tip=section.tip,
-            package_dirs=[path.parent / name for name in section.package_dirs],
-            home=section.home,
-            ignore_collisions=section.ignore_collisions,
-        )
+        return load_robot(_relative(section.robot, path.parent), **options)
     except UnknownNameError as error:
-        raise WorkcellError(f"{path}: key '{keys.robot_model}': {error}, or the path of a URDF file") from error
+        raise WorkcellError(
+            f"{path}: key '{keys.robot_model}': {error}, or the path of a URDF or xacro file"
+        ) from error
     except WorkcellError as error:
         raise WorkcellError(f"{path}: section '{keys.robot}': {error}") from error
 

@@ -22,11 +22,17 @@ class MountingSection(Section):
     """Where a robot's base stands in the world, where it rests, and how its file is read."""
 
     tip: str | None = None
+    tip_position: Vector | None = None
+    tip_rpy: Vector | None = None
     position: Vector = (0.0, 0.0, 0.0)
     rpy: Vector = (0.0, 0.0, 0.0)
-    home: list[float] | None = None
+    home: list[float] | str | None = None
     ignore_collisions: list[tuple[str, str]] = Field(default_factory=list)
     package_dirs: list[str] = Field(default_factory=list)
+    srdf: str | None = None
+    locked: dict[str, float] | None = None
+    leave_out: list[str] | None = None
+    xacro_args: dict[str, str] | None = None
 
 
 class RobotSection(MountingSection):

@@ -1,23 +1,18 @@
-"""`bench any` at a size of seconds, and what it is made of: meshes, scenes, foreign arms, tables."""
+"""`bench any` at a size of seconds, and what it is made of: meshes, scenes, tables."""
 
-from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from regrasp_opt.benchmarks.comparisons import any as any_module
-from regrasp_opt.benchmarks.comparisons import foreign_arms
 from regrasp_opt.benchmarks.comparisons.any import AnySizes, contenders, from_fallback, run_any
 from regrasp_opt.benchmarks.comparisons.unseen_meshes import FAMILIES, VARIANTS, made_meshes
 from regrasp_opt.benchmarks.comparisons.unseen_scenes import FEWEST, MOST, random_scene
 from regrasp_opt.benchmarks.comparisons.unseen_tables import any_tables
 from regrasp_opt.benchmarks.harness.report import write_report
 from regrasp_opt.benchmarks.harness.session import Session
-from regrasp_opt.errors import OptionError
-from regrasp_opt.planning import arm_energy, problem
-from regrasp_opt.planning.arm_energy import train_arm_energy
-from regrasp_opt.scene import load_workcell
+from regrasp_opt.planning import problem
 from regrasp_opt.scene.collision_world import collision_at_home
 
 PLANNERS = ["arm energy", "exact", "constant energy", "random poses"]
@@ -99,34 +94,6 @@ def test_scenes_leave_the_robot_at_home_alone(bottle_problem):
     assert len(cell.obstacles) == len(scenes[2]) and collision_at_home(cell) is None
 
 
-def test_an_arm_is_trained_for_and_plans(tmp_path, monkeypatch):
-    if not _has_robots():
-        pytest.skip("needs the extra 'robots'")
-    monkeypatch.setattr(foreign_arms, "train_arm_energy", partial(train_arm_energy, poses=1000))
-    monkeypatch.setattr(arm_energy, "UNSEEN_POSES", 10)
-    monkeypatch.setattr(foreign_arms, "OBJECT_NAMES", ("pentagon",))
-    training, plan = foreign_arms.arm_rows("ur5", tmp_path, 1, 20.0, 0, 1)
-    assert training["joints"] == 6 and training["training"] > 0 and 0 < training["least_ap"] <= training["ap"] <= 1
-    assert plan["body"] == "pentagon" and plan["status"] in ("solved", "not_found", "time_limit")
-
-
-@pytest.mark.parametrize("name", foreign_arms.ARMS)
-def test_cells_of_foreign_arms_load(tmp_path, name):
-    if not _has_robots():
-        pytest.skip("needs the extra 'robots'")
-    robot = load_workcell(foreign_arms.write_cell(name, tmp_path)).arm.robot
-    assert len(robot.home) == len(foreign_arms.ARMS[name].home)
-
-
-def test_a_missing_package_is_named(tmp_path, monkeypatch):
-    def missing(name):
-        raise foreign_arms.PackageNotFoundError(name)
-
-    monkeypatch.setattr(foreign_arms, "distribution", missing)
-    with pytest.raises(OptionError, match=r"regrasp-opt\[robots\]"):
-        foreign_arms.write_cell("ur5", tmp_path)
-
-
 def _plan(planner, solved, N, minimum, seconds=1.0, part="meshes", **more):
     row = {"part": part, "object": "key", "pair": "key/any/0", "planner": planner, "status": "x", "solved": solved}
     return {**row, "num_regrasps": N, "minimum": minimum, "seconds": seconds, "unrefined": False, **more}
@@ -145,8 +112,6 @@ def test_tables_tell_shares_of_what_can_be_planned():
         {"part": "meshes", "object": "key", "process": "plan", "seconds": 6.0, "exit": 0},
         {"part": "meshes", "object": "lid", "process": "plan", "seconds": 9.0, "exit": 1},
         {"part": "scenes", "object": "scene 0, mug", "pair": "p", "obstacles": 3, "moved": None, "processor": 1.0},
-        {"part": "arms", "object": "ur5", "joints": 6, "training": 20.0, "ap": 0.99, "least_ap": 0.98},
-        {"part": "arms", "object": "ur5", "body": "mug", "reason": "no pair"},
         {"part": "meshes", "object": "ball", "error": "no stable placement"},
     ]  # fmt: skip
     found = {table.title: {line[0]: line[1:] for line in table.rows} for table in any_tables(rows)}
@@ -159,13 +124,4 @@ def test_tables_tell_shares_of_what_can_be_planned():
     assert found["Meshes"]["key"] == (4, 2, 9, 1.0, 2.0, 3.5, 25.0, "4 of 5")
     [title] = (title for title in found if title.startswith("Pairs"))
     assert found[title] == {"meshes": ("key/any/0", "x", None, 1, 1.0)}
-    assert found["Not planned"] == {"meshes": ("ball", "no stable placement"), "arms": ("ur5", "no pair")}
-    assert found["Other arms"] == {"ur5": (6, 20.0, 0.99, 0.98, 0, None, None, None)}
-
-
-def _has_robots():
-    try:
-        foreign_arms.distribution("example-robot-data")
-    except foreign_arms.PackageNotFoundError:
-        return False
-    return True
+    assert found["Not planned"] == {"meshes": ("ball", "no stable placement")}

@@ -56,7 +56,7 @@ ARMS = {
     "solo12": ("FL_FOOT", 3),
     "talos_full_v2": ("gripper_left_motor_double_link", 10),
     "talos_full_v2_box": ("gripper_left_motor_double_link", 10),
-    "talos_left_arm": (None, 7),
+    "talos_left_arm": (None, 6),
     "talos_reduced": ("gripper_left_motor_double_link", 10),
     "talos_reduced_box": ("gripper_left_motor_double_link", 10),
     "talos_reduced_corrected": ("gripper_left_motor_double_link", 10),
@@ -74,7 +74,7 @@ ARMS = {
     "ur5_joint_limited_robot": (None, 6),
     "ur5_robot": (None, 6),
     "xarm7": (None, 7),
-    "z1": (None, 7),
+    "z1": (None, 6),
 }
 """Tip and number of joints of what is an arm, by the name of its file."""
 

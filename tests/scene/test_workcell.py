@@ -9,7 +9,7 @@ import trimesh
 
 from regrasp_opt.errors import UnknownNameError, WorkcellError
 from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh
-from regrasp_opt.scene import WORKCELL_NAMES, load_workcell
+from regrasp_opt.scene import FURTHER_WORKCELL_NAMES, WORKCELL_NAMES, load_workcell
 
 DATA = files("regrasp_opt") / "data"
 BUILT_IN = (DATA / "workcells" / "nova2-w.toml").read_text("utf-8")
@@ -83,7 +83,8 @@ def test_built_in_workcells_load(name):
 
 
 def test_built_in_names_are_the_files_there_are():
-    assert sorted(WORKCELL_NAMES) == sorted(p.name.removesuffix(".toml") for p in (DATA / "workcells").iterdir())
+    names = (*WORKCELL_NAMES, *FURTHER_WORKCELL_NAMES)
+    assert sorted(names) == sorted(p.name.removesuffix(".toml") for p in (DATA / "workcells").iterdir())
 
 
 def test_the_top_of_the_table_is_at_its_height(write):
@@ -176,7 +177,7 @@ def test_unknown_workcells_list_the_known_ones():
     with pytest.raises(UnknownNameError) as info:
         load_workcell("nova-r85")
     assert info.value.alternatives[0] == "nova2-r85"
-    assert set(info.value.alternatives) == set(WORKCELL_NAMES)
+    assert set(info.value.alternatives) == {*WORKCELL_NAMES, *FURTHER_WORKCELL_NAMES}
 
 
 @pytest.mark.parametrize(

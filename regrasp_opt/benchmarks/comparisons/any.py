@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from regrasp_opt.benchmarks.comparisons.foreign_arms import ARMS, arm_rows
 from regrasp_opt.benchmarks.comparisons.speed import process_row
 from regrasp_opt.benchmarks.comparisons.unseen_meshes import made_meshes
 from regrasp_opt.benchmarks.comparisons.unseen_scenes import random_scene
@@ -46,8 +45,7 @@ class AnySizes:
 
     `meshes` in all, those of a folder among them, `processes` of them in fresh processes too, and `scenes`, with
     `pairs` each out of a pool of `pool` poses; `warm` pairs of each built-in object. `truth` random poses are checked
-    exactly to say which pairs have a plan. `arms` are trained for, with `arm_pairs` pairs of each built-in object. A
-    plan is given up after `time_limit` seconds.
+    exactly to say which pairs have a plan. A plan is given up after `time_limit` seconds.
     """
 
     meshes: int
@@ -58,12 +56,10 @@ class AnySizes:
     truth: int
     pool: int
     time_limit: float
-    arms: tuple[str, ...] = ()
-    arm_pairs: int = 10
 
 
 QUICK = AnySizes(meshes=4, processes=2, scenes=2, pairs=2, warm=3, truth=300, pool=60, time_limit=5.0)
-FULL = AnySizes(60, 60, 40, pairs=4, warm=25, truth=20_000, pool=200, time_limit=30.0, arms=tuple(ARMS))
+FULL = AnySizes(60, 60, 40, pairs=4, warm=25, truth=20_000, pool=200, time_limit=30.0)
 
 
 DRAWN = 100
@@ -78,7 +74,7 @@ class Contender(NamedTuple):
 
 
 def run_any(session: Session) -> Report:
-    """Measure plans for meshes, scenes and arms that nothing was prepared for."""
+    """Measure plans for meshes and scenes that nothing was prepared for."""
     sizes = QUICK if session.quick else FULL
     alone = replace(session, jobs=1)
     results = alone.execute("any", list(_items(session, sizes)))
@@ -109,11 +105,6 @@ def _items(session: Session, sizes: AnySizes) -> Iterator[Item]:
     for number in range(sizes.scenes):
         name = session.names[number % len(session.names)]
         yield item("scenes", f"scene {number}, {name}", partial(scene_rows, name, number, sizes, session), name)
-    for arm in sizes.arms:
-        folder = session.folder / "any" / "arms"
-        yield item(
-            "arms", arm, partial(arm_rows, arm, folder, sizes.arm_pairs, sizes.time_limit, session.seed, session.jobs)
-        )
 
 
 def _mesh_files(session: Session, sizes: AnySizes) -> dict[str, Path]:
@@ -150,7 +141,7 @@ def mesh_rows(path: Path, sizes: AnySizes, session: Session, *, fresh_process: b
         If the mesh cannot be read, or there is no pair of poses to plan for.
     """
     drawn = RegraspProblem.load(path, DEFAULT_WORKCELL)
-    pairs, share = _pairs(drawn, sizes.pairs, sizes, session, path.stem)
+    pairs, share = solvable_pairs(drawn, sizes.pairs, sizes.truth, sizes.pool, session, path.stem)
     times, processor = [time.perf_counter()], time.process_time()
     body = load_object(path)
     times.append(time.perf_counter())
@@ -176,7 +167,7 @@ def mesh_rows(path: Path, sizes: AnySizes, session: Session, *, fresh_process: b
 def builtin_rows(name: str, sizes: AnySizes, session: Session) -> list[Row]:
     """Return a row for each pair and planner of a built-in object, its own energy among them."""
     ways = _builtin_contenders(name)
-    pairs, _ = _pairs(ways["own energy"].problem, sizes.warm, sizes, session, name)
+    pairs, _ = solvable_pairs(ways["own energy"].problem, sizes.warm, sizes.truth, sizes.pool, session, name)
     return _pair_rows(ways, pairs, sizes, session.seed)
 
 
@@ -187,7 +178,8 @@ def scene_rows(name: str, number: int, sizes: AnySizes, session: Session) -> lis
         _ = way.problem.free_lattice
     base = ways["arm energy"].problem
     obstacles = random_scene(base, session.rng(8, number))
-    pairs, _ = _pairs(base.with_obstacles(obstacles), sizes.pairs, sizes, session, f"scene {number}")
+    scene = base.with_obstacles(obstacles)
+    pairs, _ = solvable_pairs(scene, sizes.pairs, sizes.truth, sizes.pool, session, f"scene {number}")
     rows: list[Row] = []
     for pair in pairs:
         began, processor = time.perf_counter(), time.process_time()
@@ -223,34 +215,35 @@ def _builtin_contenders(name: str) -> dict[str, Contender]:
     return contenders(replace(own, model_folder=None, arm_energy=find_arm_energy(own.workcell)), own)
 
 
-def _pairs(
-    problem: RegraspProblem, count: int, sizes: AnySizes, session: Session, name: str
+def solvable_pairs(
+    problem: RegraspProblem, count: int, truth: int, pool_size: int, session: Session, name: str
 ) -> tuple[list[Instance], float | None]:
     """Return `count` pairs of poses that can be planned, and the share of those without a shared grasp that can.
 
-    They share no grasp, unless there are too few such pairs.
+    They are out of a pool of `pool_size` poses, and share no grasp unless there are too few such pairs. An exact search
+    over `truth` random poses says what can be planned.
 
     Raises
     ------
     GraspError
         If there are none; says why.
     """
-    pool = PosePool.draw(problem, session.seed, sizes.pool)
+    pool = PosePool.draw(problem, session.seed, pool_size)
     if len(pool.T) < 2:
         random_task(problem, session.rng(9))  # says why there is none
-        raise GraspError(f"fewer than two of {sizes.pool} resting poses of '{problem.object.name}' can be grasped")
-    truth = _truth(problem, sizes, session, name)
-    drawn = choose_instances(pool, truth, {"any": DRAWN}, session.rng(9), name)
+        raise GraspError(f"fewer than two of {pool_size} resting poses of '{problem.object.name}' can be grasped")
+    exact = _truth(problem, truth, session, name)
+    drawn = choose_instances(pool, exact, {"any": DRAWN}, session.rng(9), name)
     pairs = [pair for pair in drawn if pair.minimum is not None][:count]
-    pairs += choose_instances(pool, truth, {"0": count - len(pairs)}, session.rng(10), name)
+    pairs += choose_instances(pool, exact, {"0": count - len(pairs)}, session.rng(10), name)
     if not pairs:
         raise GraspError(f"none of {len(drawn)} pairs of poses of '{problem.object.name}' can be planned")
     return pairs, float(np.mean([pair.minimum is not None for pair in drawn])) if drawn else None
 
 
-def _truth(problem: RegraspProblem, sizes: AnySizes, session: Session, name: str) -> Oracle:
+def _truth(problem: RegraspProblem, count: int, session: Session, name: str) -> Oracle:
     """Return the exact feasibility of random resting poses, which says what can be planned."""
-    numbers, xi = random_poses(problem.placement_poses, problem.workcell.bounds.array, sizes.truth, session.rng(11))
+    numbers, xi = random_poses(problem.placement_poses, problem.workcell.bounds.array, count, session.rng(11))
     with progress(session.quiet) as show:
         return check_poses(problem, numbers, xi, jobs=session.jobs, progress=partial(show, f"ground truth, {name}"))
 

@@ -7,7 +7,7 @@ from regrasp_opt.benchmarks.harness.report import Table
 from regrasp_opt.benchmarks.harness.runner import Row
 
 TEXT = (
-    "Plans for meshes, obstacles and arms that nothing was prepared for, with the energy of the arm, which was trained "
+    "Plans for meshes and obstacles that nothing was prepared for, with the energy of the arm, which was trained "
     "without any object. A pair of poses can be planned if a search over exactly checked random resting poses solves "
     "it; their number is `truth` in the settings, and the N of the pair the least that they allow. Only such pairs are "
     "planned for; they share no grasp, unless a mesh has too few such pairs. A plan is given up after `time_limit` "
@@ -17,7 +17,7 @@ TEXT = (
 
 def any_tables(rows: list[Row]) -> list[Table]:
     """Return the tables of the rows of `run_any`."""
-    return [_first(rows), _success(rows), _parts(rows), _meshes(rows), _missed(rows), _refused(rows), _arms(rows)]
+    return [_first(rows), _success(rows), _parts(rows), _meshes(rows), _missed(rows), _refused(rows)]
 
 
 def _first(rows: list[Row]) -> Table:
@@ -142,26 +142,3 @@ def _refused(rows: list[Row]) -> Table:
         if row.get("error") or row.get("reason") or row.get("exit")
     ]
     return tables.listing("Not planned", wrong, {"where": "part", "what": "object", "why": "why"})
-
-
-def _arms(rows: list[Row]) -> Table:
-    columns: dict[str, tables.Column] = {
-        "axes": tables.average("joints", 0),
-        "training [s]": tables.average("training", 1),
-        "AP, unseen objects": tables.average("ap", 3),
-        "least AP": tables.average("least_ap", 3),
-        "pairs": tables.count("status"),
-        "solved [%]": tables.share("solved"),
-        "median [s]": tables.middle("seconds", of="solved"),
-        "p95 [s]": tables.late("seconds", of="solved"),
-    }
-    arms = [row for row in rows if row["part"] == "arms" and not row.get("error")]
-    return tables.summary(
-        "Other arms",
-        ("arm",),
-        tables.grouped(arms, "object"),
-        columns,
-        "Only in full runs. Training: labels, network and calibration; once for an arm. AP: average precision on "
-        "grasps of the built-in objects, with the exact rules, mean and least. The pairs share no grasp; whether they "
-        "can be planned at all is not known.",
-    )

@@ -1,0 +1,133 @@
+"""What is asked for besides a URDF, done to its XML: links left out, joints locked, a seat for the tool.
+
+Last step before `load_robot` looks for the chain; whatever reads the robot afterwards knows nothing of it.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from regrasp_opt.conventions import FloatArray, rotation_rpy, rpy_angles, translation
+from regrasp_opt.errors import WorkcellError
+from regrasp_opt.robots import urdf
+
+
+def leave_out(root: ET.Element, links: Iterable[str], path: Path) -> None:
+    """Remove `links`, and whatever hangs from them, in place.
+
+    Raises
+    ------
+    WorkcellError
+        If there is no such link, or it is the base.
+    """
+    joints = urdf.joint_of_child(root, path)
+    known = [link.get("name", "") for link in root.iterfind("link")]
+    for name in links:
+        if name not in joints:
+            reason = "it carries the whole robot" if name in known else "there is none"
+            raise WorkcellError(
+                f"{path}: link '{name}' cannot be left out, {reason}; known: {', '.join(urdf.closest(name, joints))}"
+            )
+    gone, more = set[str](), set(links)
+    while more:
+        gone |= more
+        more = {child for child, joint in joints.items() if urdf.link_name(joint, "parent") in gone} - gone
+    for element in [*root.iterfind("link"), *root.iterfind("joint")]:
+        if (element.get("name") if element.tag == "link" else urdf.link_name(element, "child")) in gone:
+            root.remove(element)
+
+
+def lock(root: ET.Element, values: Mapping[str, float], path: Path) -> None:
+    """Fix joints at `values` [rad, m], and those that mimic them where these put them, in place.
+
+    Raises
+    ------
+    WorkcellError
+        If there is no such joint, it cannot move, or the value is outside its limits.
+    """
+    joints = {joint.get("name", ""): joint for joint in root.iterfind("joint")}
+    moving = [name for name, joint in joints.items() if joint.get("type") in urdf.MOVING]
+    for name, value in values.items():
+        if name not in moving:
+            reason = f"is {joints[name].get('type')}" if name in joints else "does not exist"
+            known = ", ".join(urdf.closest(name, moving))
+            raise WorkcellError(f"{path}: joint '{name}' cannot be locked, it {reason}; joints that move: {known}")
+        limits = urdf.limits(joints[name], path)
+        if not limits["lower"] <= value <= limits["upper"] and joints[name].get("type") != "continuous":
+            raise WorkcellError(
+                f"{path}: joint '{name}' cannot be locked at {value:g}, its limits are {limits['lower']:g} to "
+                f"{limits['upper']:g}; give a value within them"
+            )
+        if not math.isfinite(value):
+            raise WorkcellError(f"{path}: joint '{name}' cannot be locked at {value}; give a finite number")
+    for name, value in _with_mimics(joints, values, path).items():
+        _fix(joints[name], value, f"{path}: joint '{name}'")
+
+
+def _with_mimics(joints: Mapping[str, ET.Element], values: Mapping[str, float], path: Path) -> dict[str, float]:
+    """Return `values` and those of the joints that mimic these, directly or through others."""
+    found = dict(values)
+    while True:
+        more = {}
+        for name, joint in joints.items():
+            mimic = joint.find("mimic")
+            leader = None if mimic is None else mimic.get("joint", "")
+            if mimic is not None and leader in found and name not in found and joint.get("type") in urdf.MOVING:
+                factor, offset = (
+                    _vector(mimic, key, default, 1, f"{path}: joint '{name}'")[0]
+                    for key, default in (("multiplier", "1"), ("offset", "0"))
+                )
+                more[name] = factor * found[leader] + offset
+        if not more:
+            return found
+        found |= more
+
+
+def _fix(joint: ET.Element, value: float, where: str) -> None:
+    """Make `joint` a fixed one, where it is at `value`."""
+    axis, origin = (joint.find(tag) for tag in ("axis", "origin"))
+    direction = _vector(axis, "xyz", "1 0 0", 3, where)
+    direction /= np.linalg.norm(direction)
+    T = translation(*_vector(origin, "xyz", "0 0 0", 3, where))
+    T[:3, :3] = rotation_rpy(*_vector(origin, "rpy", "0 0 0", 3, where))
+    moved = np.eye(4)
+    if joint.get("type") == "prismatic":
+        moved[:3, 3] = value * direction
+    else:
+        moved[:3, :3] = pin.exp3(value * direction)
+    T = T @ moved
+    for element in [element for element in joint if element.tag not in ("parent", "child")]:
+        joint.remove(element)
+    joint.set("type", "fixed")
+    ET.SubElement(joint, "origin", xyz=_text(T[:3, 3].tolist()), rpy=_text(rpy_angles(T[:3, :3]).tolist()))
+
+
+def _vector(element: ET.Element | None, key: str, default: str, count: int, where: str) -> FloatArray:
+    text = default if element is None else element.get(key, default)
+    found = urdf.numbers(text, count)
+    if not found or (element is not None and element.tag == "axis" and not any(found)):
+        raise WorkcellError(f'{where} has {key}="{text}"; give {count} numbers')
+    return np.array(found)
+
+
+def _text(numbers: Sequence[float]) -> str:
+    return " ".join(repr(float(number)) for number in numbers)
+
+
+def seat_tool(root: ET.Element, tip: str, position: Sequence[float], rpy: Sequence[float]) -> str:
+    """Add a link that is fixed to `tip` at a pose [m, rad], in place; return its name."""
+    name, taken = f"{tip}_tool", {element.get("name") for element in root}
+    while name in taken:
+        name += "_"
+    ET.SubElement(root, "link", name=name)
+    joint = ET.SubElement(root, "joint", name=name, type="fixed")
+    ET.SubElement(joint, "parent", link=tip)
+    ET.SubElement(joint, "child", link=name)
+    ET.SubElement(joint, "origin", xyz=_text(position), rpy=_text(rpy))
+    return name
