@@ -102,7 +102,7 @@ def _described(error: ValidationError, schema: type[BaseModel]) -> str:
     problem = next((one for one in problems if one["type"] == "extra_forbidden"), problems[0])
     location = problem["loc"]
     parent = _schema_at(schema, location[:-1])
-    key = ".".join(str(part) for part in location)
+    key = ".".join(str(part) for part in location if "[" not in str(part))  # less the name of a type among several
     if problem["type"] == "missing" and parent is None:
         return f"key '{key}' is missing; add it"
     if parent is not None and problem["type"] in ("extra_forbidden", "missing"):

@@ -33,7 +33,7 @@ def cell_of(workcell):
     return Cell(
         path=None,
         T_world_base=workcell.T_world_base,
-        robot=read_urdf(robot.urdf_path, robot.tip_frame),
+        robot=read_urdf(robot.urdf_path, robot.tip_frame, content=robot.urdf),
         tool=Tool(effector.kind, *lengths, [shape_of(shape) for shape in effector.body], fingers, pad_of(effector)),
         table={name: getattr(table, name) for name in ("height", "center", "size", "thickness")},
         obstacles=[shape_of(shape) for shape in workcell.obstacles],

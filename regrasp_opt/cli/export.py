@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 from regrasp_opt.energy.export import EXPORTERS, SUFFIXES
@@ -20,7 +21,7 @@ from regrasp_opt.planning.model_store import (
 def run_export(model: Path, to: str, out: Path | None, *, as_json: bool) -> int:
     """Export the energy of a prepared model; return 0."""
     bundled = {folder.parent.name: folder.parent for folder in bundled_models().glob(f"*/{REPORT_FILE}")}
-    folder = model if model.is_dir() else bundled.get(str(model))
+    folder = model if os.path.isdir(model) else bundled.get(str(model))
     if folder is None:
         raise UnknownNameError("model", str(model), bundled)
     energy = GraspEnergy(

@@ -135,11 +135,7 @@ def train_arm_energy(
     """
     arm = workcell.arm
     if arm.robot.dof < LEAST_JOINTS:
-        raise ModelError(
-            f"'{arm.robot.name}' has {arm.robot.dof} joints and reaches almost no tool pose drawn at random, so "
-            "it has no energy of its own; plan with refiner 'exact', or run "
-            f"'regrasp-opt prepare {shlex.join(workcell_arguments(workcell))} --object OBJECT'"
-        )
+        raise ModelError(short_arm(workcell))
     if poses is None:
         poses = POSES_NUMERICAL if isinstance(workcell.arm.robot.ik, NumericalIk) else POSES
     if poses < 1000:
@@ -176,13 +172,22 @@ def train_arm_energy(
     return path, card
 
 
+def short_arm(workcell: Workcell) -> str:
+    """Return why nothing is sampled or trained for an arm of fewer than `LEAST_JOINTS`, and what can be done."""
+    return (
+        f"'{workcell.robot.name}' has {workcell.robot.dof} joints and reaches almost no grasp or tool pose drawn at "
+        f"random, which takes {LEAST_JOINTS}; give grasps that it reaches (grasps=) and plan with refiner "
+        "'exact', or use another arm"
+    )
+
+
 def _writable(path: Path) -> Path:
     """Return `path`, which can be written once its folder is made; it is looked at before work is spent."""
-    if path.is_dir():
+    if os.path.isdir(path):
         raise OptionError(f"'{path}' is a folder; give the name of a file, for example '{path / 'arm.safetensors'}'")
     with contextlib.suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-    if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+    if not os.path.isdir(path.parent) or not os.access(path.parent, os.W_OK):
         raise OptionError(
             f"the energy cannot be written to '{path}'; give another place, or set REGRASP_OPT_HOME to a "
             "folder that can be written"

@@ -7,6 +7,7 @@ models come with the package; others are kept in the user's data folder under a 
 from __future__ import annotations
 
 import json
+import os
 import shlex
 from importlib import resources
 from pathlib import Path
@@ -62,7 +63,7 @@ def find_model(model: ObjectModel, workcell: Workcell, folder: Path | None = Non
             )
         return folder
     for candidate in (bundled_models() / f"{model.name}-{workcell.name}", default_folder(model, workcell)):
-        if (candidate / REPORT_FILE).is_file() and read_report(candidate)["key"] == key.id:
+        if os.path.isfile(candidate / REPORT_FILE) and read_report(candidate)["key"] == key.id:
             return candidate
     return None
 

@@ -16,7 +16,7 @@ from regrasp_opt.errors import GraspError, OptionError, UnknownNameError, Workce
 from regrasp_opt.geometry.shapes import Shape
 from regrasp_opt.grasps import GraspSet, sample_grasps
 from regrasp_opt.objects import ObjectModel, Placement, load_object
-from regrasp_opt.planning.arm_energy import load_arm_energy
+from regrasp_opt.planning.arm_energy import LEAST_JOINTS, load_arm_energy, short_arm
 from regrasp_opt.planning.explaining import explain
 from regrasp_opt.planning.explanation import Explanation
 from regrasp_opt.planning.given_grasps import NEAR, Near, usable_grasps
@@ -116,13 +116,15 @@ class RegraspProblem(ProblemData):
         body = _loaded(object, how)
         if not isinstance(workcell, Workcell):
             workcell = load_workcell(workcell, end_effector=end_effector)
+        if grasps is None and workcell.robot.dof < LEAST_JOINTS:
+            raise GraspError(short_arm(workcell))
         if not len(Rests.of(body, workcell)):
             raise GraspError(
                 f"'{body.name}' has no stable placement on a support of '{workcell.name}', so it cannot be planned; "
                 "check its shape and scale"
             )
         check_fixtures(body, workcell)
-        file = Path(model) if model is not None and Path(model).is_file() else None
+        file = Path(model) if model is not None and os.path.isfile(model) else None
         if file is not None:
             load_arm_energy(file, workcell)
         folder = find_model(body, workcell, None if model is None else Path(model)) if file is None else None

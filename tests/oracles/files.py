@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field
+from importlib.metadata import distribution
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -22,6 +24,7 @@ else:
 _PACKAGE = find_spec("regrasp_opt")
 assert _PACKAGE is not None and _PACKAGE.origin is not None, "regrasp_opt is not installed"
 DATA = Path(_PACKAGE.origin).parent / "data"
+EXAMPLES = Path(str(distribution("example-robot-data").locate_file("cmeel.prefix/share/example-robot-data/robots")))
 TIPS = "tool0", "flange", "ee_link"
 MOVING = "revolute", "continuous", "prismatic"
 
@@ -116,11 +119,11 @@ def read_cell(reference):
     path = DATA / "workcells" / f"{reference['name']}.toml" if built_in else Path(reference["source"])
     content = _toml(path)
     section = content["robot"]
-    model, tip, ignored = section["model"], section.get("tip"), section.get("ignore_collisions", [])
+    model, ignored = section["model"], [*section.get("ignore_collisions", []), *_disabled(section, path.parent)]
     if _bare(model):
         defaults = _toml(DATA / "robots" / model / f"{model}.toml")
-        urdf, tip = DATA / "robots" / model / f"{model}.urdf", tip or defaults["tip"]
-        ignored = ignored + defaults["ignore_collisions"]
+        urdf = EXAMPLES / defaults["urdf"] if "urdf" in defaults else DATA / "robots" / model / f"{model}.urdf"
+        section, ignored = {**defaults, **section}, ignored + defaults["ignore_collisions"]
     else:
         urdf = path.parent / model
     packages = [path.parent / folder for folder in section.get("package_dirs", [])]
@@ -131,7 +134,7 @@ def read_cell(reference):
     return Cell(
         path,
         frame(section.get("position", (0, 0, 0)), section.get("rpy", (0, 0, 0))),
-        read_urdf(urdf, tip, packages),
+        read_urdf(urdf, section.get("tip"), packages, changes=section),
         read_tool(tool_path),
         table,
         [_obstacle(part, path.parent) for part in [*content.get("obstacles", []), *added]],
@@ -139,6 +142,14 @@ def read_cell(reference):
         content["workspace"],
         {frozenset(pair) for pair in ignored},
     )
+
+
+def _disabled(section, folder):
+    """Return the pairs of links that the SRDF file of a robot's section says are never tested."""
+    if "srdf" not in section:
+        return []
+    pairs = ET.parse(folder / section["srdf"]).getroot().iterfind("disable_collisions")
+    return [(pair.get("link1"), pair.get("link2")) for pair in pairs]
 
 
 def _toml(path):
@@ -222,9 +233,13 @@ class RobotFile:
     speeds: np.ndarray
 
 
-def read_urdf(path, tip=None, packages=()):
-    """Return the robot in the URDF file `path`, made ready for MuJoCo."""
-    root = ET.fromstring(Path(path).read_text("utf-8"))
+def read_urdf(path, tip=None, packages=(), content=None, changes=None):
+    """Return the robot in the URDF file `path`, or what was made of it, made ready for MuJoCo.
+
+    `changes` has the keys `leave_out`, `locked`, `tip_position` and `tip_rpy` of a workcell's robot.
+    """
+    root = ET.fromstring(Path(path).read_text("utf-8") if content is None else content)
+    tip = _change(root, tip, changes or {})
     kept = ET.Element("robot", name=root.get("name") or "robot")
     options = {"strippath": "false", "fusestatic": "false", "discardvisual": "true", "balanceinertia": "true"}
     options |= {"boundmass": "0.001", "boundinertia": "1e-6"}
@@ -249,8 +264,7 @@ def read_urdf(path, tip=None, packages=()):
                 joint.remove(element)
         kept.append(joint)
     carrier = {joint.find("child").get("link"): joint for joint in kept.iterfind("joint")}
-    tip = _link(tip or _default_tip(kept, carrier))
-    chain, here = [], tip
+    chain, here = [], _link(tip)
     while here in carrier:
         chain[:0] = [carrier[here]] if carrier[here].get("type") in MOVING else []
         here = carrier[here].find("parent").get("link")
@@ -267,7 +281,7 @@ def read_urdf(path, tip=None, packages=()):
     return RobotFile(
         ET.tostring(kept, encoding="unicode"),
         meshes,
-        tip,
+        _link(tip),
         [joint.get("name") for joint in chain],
         groups,
         chain[0].find("parent").get("link"),
@@ -275,6 +289,43 @@ def read_urdf(path, tip=None, packages=()):
         np.array([_limits(joint) for joint in chain]),
         np.array([_number(joint, "velocity", np.pi) for joint in chain]),
     )
+
+
+def _change(root, tip, changes):
+    """Leave out links, lock joints and add the seat of the tool, in place; return the tip."""
+    gone = set(changes.get("leave_out", ()))
+    for _ in root.findall("link"):  # until nothing more hangs from what is gone
+        gone |= {j.find("child").get("link") for j in root.iterfind("joint") if j.find("parent").get("link") in gone}
+    for element in [*root.findall("link"), *root.findall("joint")]:
+        if (element.get("name") if element.tag == "link" else element.find("child").get("link")) in gone:
+            root.remove(element)
+    for name, value in changes.get("locked", {}).items():
+        joint = next(joint for joint in root.iterfind("joint") if joint.get("name") == name)
+        at, axis = joint.find("origin"), joint.find("axis")
+        at = {} if at is None else at.attrib
+        T = frame(*(np.array(at.get(key, "0 0 0").split(), dtype=float) for key in ("xyz", "rpy")))
+        way = np.array([1.0, 0.0, 0.0] if axis is None else axis.get("xyz").split(), dtype=float)
+        way *= value / np.linalg.norm(way)
+        moved = np.eye(4)
+        if joint.get("type") == "prismatic":
+            moved[:3, 3] = way
+        else:
+            moved[:3, :3] = Rotation.from_rotvec(way).as_matrix()
+        T = T @ moved
+        for element in [element for element in joint if element.tag not in ("parent", "child")]:
+            joint.remove(element)
+        joint.set("type", "fixed")
+        rpy = Rotation.from_matrix(T[:3, :3]).as_euler("xyz")
+        ET.SubElement(joint, "origin", xyz=" ".join(map(str, T[:3, 3])), rpy=" ".join(map(str, rpy)))
+    tip = tip or _default_tip(root, {joint.find("child").get("link"): joint for joint in root.iterfind("joint")})
+    if "tip_position" in changes or "tip_rpy" in changes:
+        seat = ET.SubElement(root, "joint", name="seat of the tool", type="fixed")
+        ET.SubElement(seat, "parent", link=tip)
+        tip = ET.SubElement(root, "link", name="seat of the tool").get("name")
+        ET.SubElement(seat, "child", link=tip)
+        xyz, rpy = (" ".join(map(str, changes.get(key, (0, 0, 0)))) for key in ("tip_position", "tip_rpy"))
+        ET.SubElement(seat, "origin", xyz=xyz, rpy=rpy)
+    return tip
 
 
 def _link(name):
@@ -304,12 +355,18 @@ def _default_tip(root, carrier):
     def moves(link):
         return carrier[link].get("type") in MOVING or any(moves(child) for child in children(link))
 
-    here = next(link for link in links if link not in carrier)
+    def jaw(link):
+        joint = carrier[link]
+        named = re.search("grip|finger|jaw|claw|knuckle", f"{joint.get('name')} {link}", re.IGNORECASE)
+        return joint.get("type") in MOVING and (named is not None or joint.find("mimic") is not None)
+
+    here, arm = next(link for link in links if link not in carrier), False
     while children(here):
         onward = [child for child in children(here) if moves(child)] or children(here)
-        if len(onward) > 1:
+        if len(onward) > 1 or (arm and jaw(onward[0])):
             break
         here = onward[0]
+        arm = arm or (carrier[here].get("type") in MOVING and not jaw(here))
     return here
 
 

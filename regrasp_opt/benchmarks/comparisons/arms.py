@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -83,7 +83,7 @@ def _trained(session: Session, sizes: ArmSizes) -> Iterator[Item]:
 def _planned(session: Session, sizes: ArmSizes) -> Iterator[Item]:
     for cell in sizes.cells:
         for name in session.names:
-            function = partial(pair_rows, cell, name, _energy_file(session, cell), sizes, session)
+            function = partial(pair_rows, cell, name, _energy_file(session, cell), sizes, replace(session, jobs=1))
             depends = content_hash(asdict(sizes), session.seed, name)
             yield Item(f"{cell}/{name}", depends, function, (), {"workcell": cell, "object": name})
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -32,7 +33,7 @@ def mesh_files(folder: Path, pattern: str = "*") -> list[Path]:
     OptionError
         If there is none.
     """
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise OptionError(f"'{folder}' is not a folder; give one with {', '.join(MESH_SUFFIXES)} files")
     found = sorted(path for path in folder.glob(pattern) if path.suffix.lower() in MESH_SUFFIXES)
     if not found:
