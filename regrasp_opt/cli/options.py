@@ -22,7 +22,7 @@ ObjectOption = Annotated[
 WorkcellOption = Annotated[
     str,
     typer.Option(
-        help="Built-in workcell (nova2-w, nova2-r140, ...) or a TOML file.", autocompletion=stored("workcells")
+        help="Built-in workcell (nova2-w, panda-w, ...) or a TOML file.", autocompletion=stored("workcells")
     ),
 ]
 EffectorOption = Annotated[

@@ -14,10 +14,33 @@ from oracles.plans import PlanVerifier
 from oracles.world import World
 from regrasp_opt.objects import load_object
 from regrasp_opt.robots import load_robot
+from regrasp_opt.scene import FURTHER_WORKCELL_NAMES, load_workcell
 
 ROBOTS = Path(str(distribution("example-robot-data").locate_file("cmeel.prefix/share/example-robot-data/robots")))
 ONE_JOINT = """<robot name="r"><link name="world"/><link name="a"/><joint name="j" type="continuous">
 <parent link="world"/><child link="a"/><axis xyz="0 0 1"/></joint></robot>"""
+
+
+CHANGED = """schema = 1
+[robot]
+model = "{}"
+tip = "panda_link7"
+tip_position = [0.01, 0.02, 0.1]
+tip_rpy = [0.1, 0.2, 0.3]
+leave_out = ["panda_link8"]
+locked = {{ panda_joint3 = 0.4 }}
+srdf = "arm.srdf"
+home = [0.0, -0.785, -2.356, 0.0, 1.571, 0.785]
+[end_effector]
+model = "w"
+[table]
+height = -1.0
+center = [0.0, 0.0]
+size = [1.0, 1.0]
+[workspace]
+x = [-0.2, 0.2]
+y = [-0.2, 0.2]
+"""
 
 
 def mesh_of(name):
@@ -86,6 +109,34 @@ def test_arms_of_others_stand_where_the_package_puts_them(name):
     world = World(Cell(None, base, mine, tool, table, [], {}, {}), *mesh_of("pentagon"))
     for q in np.random.default_rng(0).uniform(-1, 1, (5, robot.dof)):
         np.testing.assert_allclose(world.place(q, None, 0.0, 0.0), base @ robot.forward(q), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", FURTHER_WORKCELL_NAMES)
+def test_built_in_arms_of_others_stand_where_the_package_puts_them(name):
+    """With what their files leave out, and their tools on the seats that these state."""
+    cell, theirs = load_workcell(name), read_cell({"source": "built-in", "name": name})
+    assert tuple(theirs.robot.joints) == cell.robot.joint_names
+    world = World(theirs, *mesh_of("pentagon"))
+    links = [body.link for body in world.bodies if body.link]
+    assert sorted(links) == sorted(cell.robot.link_of(i) for i in range(cell.robot.collision.ngeoms))
+    for q in [
+        cell.robot.home,
+        *np.random.default_rng(0).uniform(cell.robot.lower, cell.robot.upper, (5, len(cell.robot.home))),
+    ]:
+        np.testing.assert_allclose(world.place(q, None, 0.0, 0.0), cell.T_world_base @ cell.robot.forward(q), atol=1e-9)
+
+
+def test_what_a_workcell_says_of_its_robot_is_read_alike(tmp_path):
+    (tmp_path / "arm.srdf").write_text('<robot><disable_collisions link1="a" link2="b"/></robot>', encoding="utf-8")
+    (tmp_path / "cell.toml").write_text(
+        CHANGED.format(Path(load_robot("panda").urdf_path).as_posix()), encoding="utf-8"
+    )
+    robot, theirs = load_workcell(tmp_path / "cell.toml").robot, read_cell({"source": str(tmp_path / "cell.toml")})
+    assert tuple(theirs.robot.joints) == robot.joint_names and len(robot.joint_names) == 6
+    assert frozenset(("a", "b")) in theirs.ignored
+    world = World(theirs, *mesh_of("pentagon"))
+    for q in np.random.default_rng(0).uniform(robot.lower, robot.upper, (5, robot.dof)):
+        np.testing.assert_allclose(world.place(q, None, 0.0, 0.0), robot.forward(q), atol=1e-9)
 
 
 @pytest.mark.parametrize("name", OWN)
