@@ -21,9 +21,7 @@ ObjectOption = Annotated[
 ]
 WorkcellOption = Annotated[
     str,
-    typer.Option(
-        help="Built-in workcell (nova2-w, panda-w, ...) or a TOML file.", autocompletion=stored("workcells")
-    ),
+    typer.Option(help="Built-in workcell (nova2-w, panda-w, ...) or a TOML file.", autocompletion=stored("workcells")),
 ]
 EffectorOption = Annotated[
     str | None,

@@ -176,7 +176,7 @@ def short_arm(workcell: Workcell) -> str:
     """Return why nothing is sampled or trained for an arm of fewer than `LEAST_JOINTS`, and what can be done."""
     return (
         f"'{workcell.robot.name}' has {workcell.robot.dof} joints and reaches almost no grasp or tool pose drawn at "
-        f"random, which takes {LEAST_JOINTS}; give grasps that it reaches (grasps=) and plan with refiner "
+        f"random, which takes {LEAST_JOINTS}; give grasps that it reaches (--grasps, grasps=) and plan with refiner "
         "'exact', or use another arm"
     )
 

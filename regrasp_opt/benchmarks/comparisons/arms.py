@@ -30,7 +30,8 @@ TEXT = (
     "here, by one process, without any object, and plans for the built-in objects. A pair of poses counts if a search "
     "over exactly checked random resting poses (`truth` of them) solves it; the N of the pair is the least that these "
     "allow. Only such pairs are planned for; they share no grasp, unless an object has too few such pairs. Training "
-    "and checks are in processor time of one process, plans and motions by the clock in a warm process."
+    "and checks are in processor time of one process, plans and motions by the clock in a warm process, whatever else "
+    "the machine does."
 )
 
 
