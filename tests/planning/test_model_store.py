@@ -13,6 +13,7 @@ from regrasp_opt.conventions import translation
 from regrasp_opt.errors import GraspError, ModelError, OptionError, RegraspError
 from regrasp_opt.geometry.shapes import Box
 from regrasp_opt.planning import prepare as prepare_module
+from regrasp_opt.planning.arm_energy import find_arm_energy
 from regrasp_opt.planning.model_key import ModelKey
 from regrasp_opt.planning.model_store import bundled_models, command_arguments, find_model
 from regrasp_opt.planning.tasks import random_task
@@ -245,3 +246,11 @@ def test_the_command_that_prepares_names_all_that_the_problem_was_loaded_with(tm
     assert command_arguments(load_object("pentagon"), load_workcell("nova2-s1")) == "nova2-s1 --object pentagon"
     wanted = f"nova2-w --end-effector r85 --object '{mesh}' --scale 0.5 --repair --thickness 0.001"
     assert command_arguments(body, cell) == wanted
+
+
+def test_names_too_long_for_a_file_have_no_bundled_model():
+    cell, body = load_workcell("nova2-w"), load_object("bottle")
+    name = "x" * 300
+    assert find_model(body, replace(cell, name=name)) is None
+    robot = replace(cell.robot, name=name)
+    assert find_arm_energy(replace(cell, arm=replace(cell.arm, robot=robot))) is None
