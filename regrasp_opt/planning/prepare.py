@@ -20,7 +20,7 @@ from regrasp_opt.energy.calibration import HeldOut, calibrate
 from regrasp_opt.energy.features import pair_features
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
 from regrasp_opt.energy.storage import save_energy
-from regrasp_opt.energy.training import PRESETS, train
+from regrasp_opt.energy.training import PRESETS, TrainingOptions, train
 from regrasp_opt.errors import GraspError, OptionError
 from regrasp_opt.feasibility.dataset import (
     LabelledPairs,
@@ -179,19 +179,20 @@ def _train_presets(
     pairs: LabelledPairs, held_out: LabelledPoses, grasps: GraspSet, seed: int, jobs: int, tell: Progress
 ) -> dict[str, EnergyModel]:
     tell("training", 0, len(PRESETS))
+    presets = [replace(options, seed=seed) for options in PRESETS.values()]
     energies: dict[str, EnergyModel] = {}
     with workers(min(len(PRESETS), joblib.effective_n_jobs(jobs)), "generator") as parallel:
-        work = (joblib.delayed(_train_and_calibrate)(pairs, held_out, grasps, name, seed) for name in PRESETS)
+        work = (joblib.delayed(train_and_calibrate)(pairs, held_out, grasps, options) for options in presets)
         for name, energy in zip(PRESETS, parallel(work), strict=True):
             energies[name] = energy
             tell("training", len(energies), len(PRESETS))
     return energies
 
 
-def _train_and_calibrate(
-    pairs: LabelledPairs, held_out: LabelledPoses, grasps: GraspSet, preset: str, seed: int
+def train_and_calibrate(
+    pairs: LabelledPairs, held_out: LabelledPoses, grasps: GraspSet, options: TrainingOptions
 ) -> EnergyModel:
-    options = replace(PRESETS[preset], seed=seed)
+    """Return an energy trained on `pairs` of the `grasps`, with its threshold and metrics on `held_out` poses."""
     chosen = grasps.subset(pairs.grasp_ids)
     trained = train(pair_features(pairs.T, chosen, options.features, options.use_width), pairs.feasible, options)
-    return calibrate(trained, [HeldOut(GraspEnergy(trained, grasps)(held_out.T), held_out.feasible)], seed)
+    return calibrate(trained, [HeldOut(GraspEnergy(trained, grasps)(held_out.T), held_out.feasible)], options.seed)

@@ -90,7 +90,7 @@ def test_the_graph_and_the_planner_say_that_there_is_no_plan(bottle_problem, apa
                     for T in apart.grasps.T_object_tcp])  # fmt: skip
     [row] = graph_row(apart, pair, bottle_problem, ids, Resolution(0.2, 2))
     assert (row["status"], row["solved"], row["num_regrasps"]) == ("not_found", False, None) and "bottleneck" not in row
-    [row] = plan_row(apart, pair, "lattice", 0, 20.0, warm=False)
+    [row] = plan_row(apart, pair, "lattice", 0, 20.0)
     assert (row["status"], row["solved"], row["first_verified"]) == ("not_found", False, None)
 
 

@@ -8,13 +8,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from regrasp_opt.benchmarks.harness import tables
-from regrasp_opt.benchmarks.harness.experiment import run_experiment
 from regrasp_opt.benchmarks.harness.generation import GENERATORS, OneStepTask, generate
 from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
 from regrasp_opt.benchmarks.harness.models import TrainingRequest
 from regrasp_opt.benchmarks.harness.report import Report, Table
 from regrasp_opt.benchmarks.harness.runner import Item, Row
-from regrasp_opt.benchmarks.harness.session import Session
+from regrasp_opt.benchmarks.harness.session import Session, run_experiment
 from regrasp_opt.benchmarks.harness.subjects import problem_key, resident
 from regrasp_opt.connectivity import CostOptions
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
@@ -76,7 +75,7 @@ def run_ablations(session: Session) -> Report:
         oracle = session.oracle(name, problem)
         pairs = session.chosen(name, problem, oracle, {"1": PAIRS[session.quick]}, 70)
         requests = [
-            TrainingRequest(problem, replace(v.training, seed=seed), round(samples * v.samples), seed)
+            TrainingRequest(problem, replace(v.training, seed=seed), round(samples * v.samples))
             for v in VARIANTS.values()
         ]
         frozen, items = instances_hash(pairs), []

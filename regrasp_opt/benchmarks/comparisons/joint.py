@@ -10,11 +10,10 @@ from dataclasses import replace
 import numpy as np
 
 from regrasp_opt.benchmarks.harness import tables
-from regrasp_opt.benchmarks.harness.experiment import pair_item, run_experiment
 from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash, random_instances
 from regrasp_opt.benchmarks.harness.report import Report, Table
 from regrasp_opt.benchmarks.harness.runner import Item, Row
-from regrasp_opt.benchmarks.harness.session import Session
+from regrasp_opt.benchmarks.harness.session import Session, pair_item, run_experiment
 from regrasp_opt.benchmarks.harness.subjects import resident
 from regrasp_opt.conventions import IntArray
 from regrasp_opt.motion import refine_plan, solve_with_free_grasps

@@ -7,12 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from regrasp_opt.benchmarks.harness import tables
-from regrasp_opt.benchmarks.harness.experiment import pair_item, run_experiment
 from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash, random_instances
 from regrasp_opt.benchmarks.harness.planners import warm_up
 from regrasp_opt.benchmarks.harness.report import Figure, Report, Table
 from regrasp_opt.benchmarks.harness.runner import Item, Row
-from regrasp_opt.benchmarks.harness.session import Session
+from regrasp_opt.benchmarks.harness.session import Session, pair_item, run_experiment
 from regrasp_opt.benchmarks.harness.subjects import resident
 from regrasp_opt.motion import MotionOptions, plan_motion, plan_with_motion
 from regrasp_opt.planning import RegraspProblem, solve_sequence

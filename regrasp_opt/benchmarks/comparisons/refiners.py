@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from regrasp_opt.benchmarks.harness import tables
-from regrasp_opt.benchmarks.harness.experiment import pair_item, run_experiment
 from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
 from regrasp_opt.benchmarks.harness.planners import PLANNERS, graph_row, plan_row, solvable, solved_by_both
 from regrasp_opt.benchmarks.harness.report import Figure, Report, Table, percent
 from regrasp_opt.benchmarks.harness.runner import Item, Row
-from regrasp_opt.benchmarks.harness.session import Session
+from regrasp_opt.benchmarks.harness.session import Session, pair_item, run_experiment
 from regrasp_opt.benchmarks.paper.hard_tiers import Condition, hard_instances
 from regrasp_opt.planning import RegraspProblem
 from regrasp_opt.planning.model_store import read_report

@@ -21,9 +21,8 @@ import numpy as np
 
 from regrasp_opt.benchmarks.comparisons import kernels
 from regrasp_opt.benchmarks.harness import tables
-from regrasp_opt.benchmarks.harness.environment import git_revision
 from regrasp_opt.benchmarks.harness.report import Report, Table
-from regrasp_opt.benchmarks.harness.runner import Row, progress
+from regrasp_opt.benchmarks.harness.runner import Row, git_revision, progress
 from regrasp_opt.benchmarks.harness.session import Session
 from regrasp_opt.benchmarks.harness.subjects import mesh_files
 from regrasp_opt.planning import Recipe, RegraspPlan, RegraspProblem, solve_sequence

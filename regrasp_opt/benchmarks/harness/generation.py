@@ -25,15 +25,9 @@ DISTINCT = np.array([0.005, 0.005, np.radians(5.0)])
 
 @dataclass(frozen=True)
 class Generator:
-    """How intermediate poses are generated.
+    """How intermediate poses are generated: from the most promising lattice poses of each placement, or random ones.
 
-    Attributes
-    ----------
-    refiner : Refiner
-    starts : {"lattice", "random"}
-        The most promising lattice poses of each placement, or random ones.
-    ends : {"exact", "learned"}
-        Energies at start and goal: from the exact checks that any planner makes there, or from the model.
+    The energies at both ends are those of the exact checks that any planner makes there, or those of the model.
     """
 
     refiner: Refiner
@@ -51,16 +45,7 @@ GENERATORS = {
 
 @dataclass(frozen=True, eq=False)
 class OneStepTask:
-    """One start-goal pair as a generator sees it.
-
-    Attributes
-    ----------
-    problem : RegraspProblem
-    energy : GraspEnergy
-        Of the problem's grasps; not always the problem's own.
-    ends : (2, 4, 4)
-        Start and goal.
-    """
+    """One start-goal pair `ends` (2, 4, 4) as a generator sees it; `energy` is not always the problem's own."""
 
     problem: RegraspProblem
     energy: GraspEnergy
@@ -87,8 +72,9 @@ class OneStepTask:
     def objective(self, generator: Generator, options: CostOptions) -> SequenceObjective:
         """Return the cost that `generator` minimises; the one with learned ends does without the table rule."""
         problem = self.problem
-        start, goal = self._end_energies(generator.ends)
-        known = None if generator.ends == "learned" else problem.table_rule
+        learned = generator.ends == "learned"
+        start, goal = self.energy(self.ends) if learned else self._exact_ends()
+        known = None if learned else problem.table_rule
         return SequenceObjective(self.energy, problem.rests.planar, start, goal, options, known)
 
     def verdicts(self, placements: IntArray, xi: FloatArray) -> BoolArray:
@@ -100,9 +86,7 @@ class OneStepTask:
             found[b] = bool((self.feasible[:, ids] & here).any(axis=1).all())
         return found
 
-    def _end_energies(self, ends: Literal["exact", "learned"]) -> FloatArray:
-        if ends == "learned":
-            return self.energy(self.ends)
+    def _exact_ends(self) -> FloatArray:
         if self.energy.model.bounded:
             return exact_energy(self.feasible)
         return np.where(self.feasible, self.energy(self.ends), BLOCKED)
@@ -114,34 +98,26 @@ def generate(
     """Return ``per_placement`` intermediate poses for each placement, the cheapest first."""
     objective = task.objective(generator, options)
     if generator.starts == "random":
-        placements, xi = _random_starts(objective, per_placement, rng)
+        placements = np.repeat(np.arange(len(objective.placements)), per_placement)
+        low, high = objective.bounds
+        positions = rng.uniform(low, high, (len(placements), 2))
+        xi = np.column_stack([positions, rng.uniform(0, 2 * np.pi, len(placements))])
     else:
-        placements, xi = _lattice_starts(task.lattice, objective, per_placement)
+        chosen = _promising(task.lattice, objective, per_placement)
+        placements, xi = task.lattice.placements[chosen], task.lattice.xi[chosen]
     starts = Candidates(placements[:, None], xi[:, None], objective.cost(placements[:, None], xi[:, None]))
     refined = generator.refiner.refine(objective, starts, rng).candidates
     return refined.best(len(refined))
 
 
-def _random_starts(
-    objective: SequenceObjective, per_placement: int, rng: np.random.Generator
-) -> tuple[IntArray, FloatArray]:
-    count = len(objective.placements) * per_placement
-    low, high = objective.bounds
-    xi = np.column_stack([rng.uniform(low, high, (count, 2)), rng.uniform(0, 2 * np.pi, count)])
-    return np.repeat(np.arange(len(objective.placements)), per_placement), xi
-
-
-def _lattice_starts(
-    lattice: PoseLattice, objective: SequenceObjective, per_placement: int
-) -> tuple[IntArray, FloatArray]:
+def _promising(lattice: PoseLattice, objective: SequenceObjective, per_placement: int) -> IntArray:
     alpha = objective.options.alpha
     P = np.exp(-lattice.energies / alpha)
     masses = [P @ np.exp(-end / alpha).astype(np.float32) for end in (objective.start_energy, objective.goal_energy)]
-    promise = shared_cost(masses[0]) + shared_cost(masses[1])
-    order = np.argsort(promise, kind="stable")
-    parts = [order[lattice.placements[order] == s][:per_placement] for s in range(len(objective.placements))]
-    chosen = np.concatenate(parts)
-    return lattice.placements[chosen], lattice.xi[chosen]
+    order = np.argsort(shared_cost(masses[0]) + shared_cost(masses[1]), kind="stable")
+    return np.concatenate(
+        [order[lattice.placements[order] == s][:per_placement] for s in range(len(objective.placements))]
+    )
 
 
 def distinct(placements: IntArray, xi: FloatArray) -> int:

@@ -22,15 +22,9 @@ POOL = 400
 
 @dataclass(frozen=True, eq=False)
 class Instance:
-    """A planning task.
+    """A planning task: `start` and `goal` (4, 4) T_world_object.
 
-    Attributes
-    ----------
-    name : str
-    start, goal : (4, 4)
-        T_world_object.
-    minimum : int or None
-        The fewest regrasps that the oracle needs; None if its grid holds no plan.
+    `minimum` is the fewest regrasps that the oracle needs, None if its grid holds no plan.
     """
 
     name: str
@@ -90,25 +84,14 @@ def _can_rest(problem: RegraspProblem, T: FloatArray) -> bool:
 def choose_instances(
     pool: PosePool, oracle: Oracle, wanted: dict[str, int], rng: np.random.Generator, prefix: str
 ) -> list[Instance]:
-    """Return random pairs of pool poses, up to ``wanted[tier]`` of each tier.
+    """Return random pairs of pool poses, up to ``wanted[tier]`` of each tier; their names begin with `prefix`.
 
-    Parameters
-    ----------
-    wanted : dict
-        Number of pairs by tier; ``any`` draws from all pairs that need a regrasp, ``0`` from those that do not.
-    prefix : str
-        Beginning of the instances' names.
+    The tier ``any`` draws from all pairs that need a regrasp, ``0`` from those that do not.
     """
     table = oracle.minimum_table(pool.feasible)
     off_diagonal = ~np.eye(len(table), dtype=bool)
-    masks = {
-        "0": table == 0,
-        "any": table >= 1,
-        "1": table == 1,
-        "2": table == 2,
-        "3+": (table >= 3) & np.isfinite(table),
-        "unsolvable": np.isinf(table),
-    }
+    masks = {str(count): table == count for count in range(3)} | {"any": table >= 1, "unsolvable": np.isinf(table)}
+    masks["3+"] = (table >= 3) & np.isfinite(table)
     chosen: list[Instance] = []
     for tier, count in wanted.items():
         pairs = np.argwhere(masks[tier] & off_diagonal)

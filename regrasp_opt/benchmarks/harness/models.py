@@ -11,15 +11,13 @@ import joblib
 
 from regrasp_opt.benchmarks.harness.parallel import resumed
 from regrasp_opt.benchmarks.harness.subjects import problem_key
-from regrasp_opt.energy.calibration import HeldOut, calibrate
-from regrasp_opt.energy.features import pair_features
-from regrasp_opt.energy.model import EnergyModel, GraspEnergy
+from regrasp_opt.energy.model import EnergyModel
 from regrasp_opt.energy.storage import load_energy, save_energy
-from regrasp_opt.energy.training import TrainingOptions, train
+from regrasp_opt.energy.training import TrainingOptions
 from regrasp_opt.feasibility.dataset import LabellingTask, label_pairs, label_poses
 from regrasp_opt.files import content_hash, data_home
 from regrasp_opt.planning import RegraspProblem
-from regrasp_opt.planning.prepare import HELD_OUT_POSES
+from regrasp_opt.planning.prepare import HELD_OUT_POSES, train_and_calibrate
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,27 +27,24 @@ class TrainingRequest:
     problem: RegraspProblem
     options: TrainingOptions
     samples: int
-    seed: int = 0
 
     @property
     def path(self) -> Path:
         """Where the trained energy is kept."""
         settings = sorted(asdict(self.options).items())
-        key = content_hash("trained-1", problem_key(self.problem), settings, self.samples, self.seed)
+        key = content_hash("trained-1", problem_key(self.problem), settings, self.samples, self.options.seed)
         return data_home() / "benchmarks" / f"{key[:32]}.safetensors"
 
     @property
     def labelling(self) -> LabellingTask:
         """The labels that it is trained on."""
         problem = self.problem
-        return LabellingTask(problem.object, problem.workcell, problem.grasps, problem.placement_poses, self.seed)
+        body, cell, seed = problem.object, problem.workcell, self.options.seed
+        return LabellingTask(body, cell, problem.grasps, problem.placement_poses, seed)
 
 
 def trained_energies(
-    requests: Sequence[TrainingRequest],
-    *,
-    jobs: int = -1,
-    progress: Callable[[int, int], None] | None = None,
+    requests: Sequence[TrainingRequest], *, jobs: int = -1, progress: Callable[[int, int], None] | None = None
 ) -> list[EnergyModel]:
     """Return the energies of `requests`; those not trained before are labelled in turn, then trained in parallel.
 
@@ -62,24 +57,15 @@ def trained_energies(
 
     def work(path: Path) -> Any:
         request = unique[path]
-        label_pairs(request.labelling, request.samples, folder=_labels(), jobs=jobs)
+        label_pairs(request.labelling, request.samples, folder=data_home() / "labels", jobs=jobs)
         return joblib.delayed(_train)(replace(request, problem=replace(request.problem)))
 
     energies = resumed(unique, load_energy, work, save_energy, jobs, progress)
     return [energies[request.path] for request in requests]
 
 
-def _labels() -> Path:
-    return data_home() / "labels"
-
-
 def _train(request: TrainingRequest) -> tuple[Path, EnergyModel]:
     """Train and calibrate in a worker; the labels are read from disk, where `trained_energies` has put them."""
-    pairs = label_pairs(request.labelling, request.samples, folder=_labels(), jobs=1)
+    pairs = label_pairs(request.labelling, request.samples, folder=data_home() / "labels", jobs=1)
     held_out = label_poses(request.labelling, HELD_OUT_POSES, jobs=1)
-    grasps, options = request.problem.grasps, request.options
-    features = pair_features(pairs.T, grasps.subset(pairs.grasp_ids), options.features, options.use_width)
-    model = train(features, pairs.feasible, options)
-    return request.path, calibrate(
-        model, [HeldOut(GraspEnergy(model, grasps)(held_out.T), held_out.feasible)], request.seed
-    )
+    return request.path, train_and_calibrate(pairs, held_out, request.problem.grasps, request.options)

@@ -29,6 +29,8 @@ from regrasp_opt.planning import RegraspProblem
 BLOCK = 500
 """Poses that are checked and stored together."""
 
+Told = Callable[[int, int], None]
+
 
 @dataclass(frozen=True)
 class Resolution:
@@ -51,15 +53,10 @@ PAPER_GRID = Resolution(0.01, 6)
 
 @dataclass(frozen=True, eq=False)
 class Oracle:
-    """Exact feasibility of G grasps on L grid poses.
+    """Exact feasibility `feasible` (L, G) of G grasps on L grid poses.
 
-    Attributes
-    ----------
-    placements, xi : (L,), (L, 3)
-        Stable placement and planar parameters of each pose [m, m, rad].
-    feasible : (L, G) bool
-    seconds : float
-        Processor time that the checks took, whenever they were made.
+    `placements` (L,) and `xi` (L, 3) are stable placement and planar parameters of each pose [m, m, rad], `seconds` is
+    the processor time that the checks took, whenever they were made.
     """
 
     placements: IntArray
@@ -79,12 +76,8 @@ class Oracle:
         return np.asarray(shortest_path(neighbours.astype(np.float64), directed=False, unweighted=True))
 
     def minimum_regrasps(self, start: BoolArray, goal: BoolArray) -> int | None:
-        """Return the fewest intermediate grid poses between poses of feasible grasps `start` and `goal` (G,).
-
-        None means that the grid holds no plan.
-        """
-        between = self.changes[np.ix_(start, goal)]
-        least = float(between.min(initial=np.inf))
+        """Return the fewest intermediate grid poses between feasible grasps `start` and `goal` (G,); None: no plan."""
+        least = float(self.changes[np.ix_(start, goal)].min(initial=np.inf))
         return int(least) if np.isfinite(least) else None
 
     def minimum_table(self, feasible: BoolArray) -> FloatArray:
@@ -114,11 +107,7 @@ def grid_poses(num_placements: int, bounds: FloatArray, resolution: Resolution) 
 
 
 def build_oracle(
-    problem: RegraspProblem,
-    resolution: Resolution,
-    *,
-    jobs: int = -1,
-    progress: Callable[[int, int], None] | None = None,
+    problem: RegraspProblem, resolution: Resolution, *, jobs: int = -1, progress: Told | None = None
 ) -> Oracle:
     """Check every grasp of `problem` on the grid, or read what was checked before; see `check_poses`."""
     numbers, xi = grid_poses(len(problem.placements), problem.workcell.bounds.array, resolution)
@@ -126,31 +115,18 @@ def build_oracle(
 
 
 def check_poses(
-    problem: RegraspProblem,
-    numbers: IntArray,
-    xi: FloatArray,
-    *,
-    jobs: int = -1,
-    progress: Callable[[int, int], None] | None = None,
+    problem: RegraspProblem, numbers: IntArray, xi: FloatArray, *, jobs: int = -1, progress: Told | None = None
 ) -> Oracle:
     """Check every grasp of `problem` at placements `numbers` (L,) and `xi` (L, 3), or read what was checked before.
 
-    Parameters
-    ----------
-    jobs : int
-        Workers, as joblib counts them.
-    progress : callable, optional
-        Called with (blocks done, blocks in all).
-
-    Notes
-    -----
-    Blocks are kept in the data folder. One that cannot be read is reported and made again.
+    Blocks are kept in the data folder. One that cannot be read is reported and made again. There are `jobs` workers, as
+    joblib counts them; `progress` is called with (blocks done, blocks in all).
     """
     key = content_hash("oracle-2", problem_key(problem), xi, numbers)[:32]
     folder = data_home() / "oracle" / key
     bare = replace(problem)  # without the heavy parts that may be attached
-    blocks = [slice(first, first + BLOCK) for first in range(0, len(numbers), BLOCK)]
-    parts = {folder / f"{part.start:07d}.npz": (numbers[part], xi[part]) for part in blocks}
+    starts = range(0, len(numbers), BLOCK)
+    parts = {folder / f"{k:07d}.npz": (numbers[k : k + BLOCK], xi[k : k + BLOCK]) for k in starts}
     found = resumed(
         parts,
         lambda path: _read(path, (len(parts[path][0]), len(problem.grasps))),
@@ -159,16 +135,15 @@ def check_poses(
         jobs,
         progress,
     ).values()
-    return Oracle(numbers, xi, np.concatenate([b.feasible for b in found]), sum(b.seconds for b in found))
+    feasible, seconds = zip(*found, strict=True)
+    return Oracle(numbers, xi, np.concatenate(feasible), sum(seconds))
 
 
-@dataclass(frozen=True, eq=False)
-class _Block:
-    feasible: BoolArray
-    seconds: float
+Block = tuple[BoolArray, float]
+"""Feasibility (L, G) and the seconds that the checks took."""
 
 
-def _check_block(problem: RegraspProblem, path: Path, placements: IntArray, xi: FloatArray) -> tuple[Path, _Block]:
+def _check_block(problem: RegraspProblem, path: Path, placements: IntArray, xi: FloatArray) -> tuple[Path, Block]:
     problem = resident(problem)
     began = time.process_time()
     poses = planar_transform(xi) @ problem.placement_poses[placements]
@@ -176,17 +151,17 @@ def _check_block(problem: RegraspProblem, path: Path, placements: IntArray, xi: 
     feasible = np.zeros_like(open_)
     for row, T, ids in zip(feasible, poses, map(np.flatnonzero, open_), strict=True):
         row[ids] = problem.checker.feasible(T, ids)
-    return path, _Block(feasible, time.process_time() - began)
+    return path, (feasible, time.process_time() - began)
 
 
-def _write(block: _Block, path: Path) -> None:
+def _write(block: Block, path: Path) -> None:
     with atomic_path(path) as temporary:
-        np.savez_compressed(temporary, packed=np.packbits(block.feasible, axis=1), seconds=block.seconds)
+        np.savez_compressed(temporary, packed=np.packbits(block[0], axis=1), seconds=block[1])
 
 
-def _read(path: Path, shape: tuple[int, int]) -> _Block:
+def _read(path: Path, shape: tuple[int, int]) -> Block:
     with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
         packed, seconds = stored["packed"], float(stored["seconds"])
     if packed.dtype != np.uint8 or packed.shape != (shape[0], -(-shape[1] // 8)):
         raise ValueError(f"not the feasibility of {shape} poses and grasps")
-    return _Block(np.unpackbits(packed, axis=1, count=shape[1]).astype(bool), seconds)
+    return np.unpackbits(packed, axis=1, count=shape[1]).astype(bool), seconds

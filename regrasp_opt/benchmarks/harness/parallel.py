@@ -30,40 +30,27 @@ def resumed(
 ) -> dict[Path, Found]:
     """Return what `paths` hold, and of the others what workers make, each kept as soon as it is there.
 
-    Parameters
-    ----------
-    read : callable
-        Returns what a file holds. Whatever it raises, the file is reported and made again.
-    work : callable
-        Returns the ``joblib.delayed`` call for a path, which returns the path and what was made.
-    jobs : int
-        Workers, as joblib counts them, on the backend that is current in joblib.
-    progress : callable, optional
-        Called with (number there, number in all).
+    A file that `read` cannot read is reported and made again. ``work(path)`` is the ``joblib.delayed`` call that
+    returns the path and what was made; there are `jobs` workers, as joblib counts them, on its current backend.
+    `progress` is called with (number there, number in all).
     """
-    stored = {path: _stored(path, read) for path in paths}
-    found = {path: value for path, value in stored.items() if value is not None}
-    missing = [path for path in stored if path not in found]
+    paths, found = list(paths), dict[Path, Found]()
+    for path in filter(Path.is_file, paths):
+        try:
+            found[path] = read(path)
+        except (RegraspError, *UNREADABLE_ARRAYS):
+            logger.warning("the stored file '%s' is corrupt; it is made again", path)
+    missing = [path for path in paths if path not in found]
     tell = progress or (lambda done, total: None)
-    tell(len(found), len(stored))
+    tell(len(found), len(paths))
     if missing:
         with warnings.catch_warnings(), workers(jobs, "generator_unordered") as parallel:
             warnings.filterwarnings("ignore", message="A worker stopped")  # joblib replaces workers that have grown
             for path, value in parallel(work(path) for path in missing):
                 keep(value, path)
                 found[path] = value
-                tell(len(found), len(stored))
-    return {path: found[path] for path in stored}
-
-
-def _stored(path: Path, read: Callable[[Path], Found]) -> Found | None:
-    if not path.is_file():
-        return None
-    try:
-        return read(path)
-    except (RegraspError, *UNREADABLE_ARRAYS):
-        logger.warning("the stored file '%s' is corrupt; it is made again", path)
-        return None
+                tell(len(found), len(paths))
+    return {path: found[path] for path in paths}
 
 
 @contextmanager
@@ -81,9 +68,7 @@ def dask_cluster(address: str | None) -> Iterator[None]:
     try:
         from distributed import Client
     except ImportError as error:
-        raise OptionError(
-            "Dask is not installed; install the extra regrasp-opt[cluster], or leave --dask out"
-        ) from error
+        raise OptionError("Dask is not installed; install regrasp-opt[cluster], or leave --dask out") from error
     try:
         client = Client(address, timeout="5s")
     except (OSError, ValueError) as error:

@@ -47,27 +47,16 @@ PLANNERS: dict[str, Callable[[], Recipe]] = {
 
 
 def plan_row(
-    problem: RegraspProblem,
-    instance: Instance,
-    recipe: str | Recipe,
-    seed: int,
-    time_limit: float | None,
-    warm: bool = True,
+    problem: RegraspProblem, instance: Instance, recipe: str | Recipe, seed: int, time_limit: float | None
 ) -> list[Row]:
-    """Plan `instance` and return the one row about it.
+    """Plan `instance` by a recipe, or a name in `PLANNERS`, and return the one row about it.
 
-    Parameters
-    ----------
-    recipe : str or Recipe
-        A name in `PLANNERS`, or a recipe.
-    warm : bool
-        Plan a first time without counting it, so that the time is that of a planner in use: lattice and solver
-        objects are made once a problem, not once a plan.
+    It is planned a first time without counting it, so that the time is that of a planner in use: lattice and solver
+    objects are made once a problem, not once a plan.
     """
     problem = resident(problem)
     used = PLANNERS[recipe]() if isinstance(recipe, str) else recipe
-    if warm:
-        warm_up(problem, instance, used)
+    warm_up(problem, instance, used)
     plan = solve_sequence(
         problem, instance.start, instance.goal, used, max_regrasps=MAX_REGRASPS, seed=seed, time_limit=time_limit
     )
@@ -95,8 +84,8 @@ def outcome(plan: RegraspPlan, instance: Instance) -> Row:
         "solved": solved,
         "num_regrasps": plan.num_regrasps if solved else None,
         "cost": plan.cost if solved else None,
-        "bottleneck": min(len(t.grasp_ids) for t in plan.transitions) if solved else None,
-        "clearance_mm": 1e3 * min(float(t.clearance.max()) for t in plan.transitions) if solved else None,
+        "bottleneck": min((len(t.grasp_ids) for t in plan.transitions), default=None),
+        "clearance_mm": min((1e3 * float(t.clearance.max()) for t in plan.transitions), default=None),
     }
 
 
@@ -130,16 +119,10 @@ def graph_row(
 ) -> list[Row]:
     """Plan `instance` on the discrete regrasp graph and return the one row about it.
 
-    Parameters
-    ----------
-    problem : RegraspProblem
-        With the grasps `ids` of `whole`, whose exact grid has been computed before.
-
-    Notes
-    -----
-    Nodes are the grid poses, the start and the goal; two are joined if they share a grasp. The path with the fewest
-    poses is found by breadth-first search over (pose, grasp) incidences, so the quadratic number of edges is never
-    formed. The seconds leave out the grid itself, which is reported apart.
+    `problem` has the grasps `ids` of `whole`, whose exact grid has been computed before. Nodes are the grid poses, the
+    start and the goal; two are joined if they share a grasp. The path with the fewest poses is found by breadth-first
+    search over (pose, grasp) incidences, so the quadratic number of edges is never formed. The seconds leave out the
+    grid itself, which is reported apart.
     """
     problem = resident(problem)
     oracle = build_oracle(resident(whole), resolution, jobs=1).with_grasps(ids)
@@ -164,19 +147,10 @@ def graph_row(
 
 
 def fewest_poses(feasible: BoolArray, start: BoolArray, goal: BoolArray) -> IntArray | None:
-    """Return the poses of a shortest path on the regrasp graph, or None if there is none.
+    """Return the numbers (N,) of the grid poses of a shortest path on the regrasp graph, or None if there is none.
 
-    Parameters
-    ----------
-    feasible : (L, G)
-        Exact feasibility at the grid poses.
-    start, goal : (G,)
-        Exact feasibility at the ends.
-
-    Returns
-    -------
-    (N,) int
-        Numbers of the grid poses; empty if the ends share a grasp.
+    Exact feasibility is `feasible` (L, G) at the grid poses, `start` and `goal` (G,) at the ends; the path is empty if
+    these share a grasp.
     """
     if (start & goal).any():
         return np.zeros(0, dtype=np.int64)
@@ -185,12 +159,12 @@ def fewest_poses(feasible: BoolArray, start: BoolArray, goal: BoolArray) -> IntA
     poses, grasps = incidence.shape
     nothing = csr_array((poses, poses)), csr_array((grasps, grasps))
     graph = block_array([[nothing[0], incidence], [incidence.T, nothing[1]]], format="csr")
-    first, last = poses - 2, poses - 1
-    distance, before = dijkstra(graph, directed=False, indices=first, unweighted=True, return_predecessors=True)
-    if not np.isfinite(distance[last]):
-        return None
-    path = [last]
-    while path[-1] != first:
-        path.append(int(before[path[-1]]))
-    inner = [node for node in reversed(path) if node < first]
-    return np.array(inner, dtype=np.int64)
+    first, node = poses - 2, poses - 1
+    _, before = dijkstra(graph, directed=False, indices=first, unweighted=True, return_predecessors=True)
+    path: list[int] = []
+    while node != first:
+        node = int(before[node])
+        if node < 0:
+            return None
+        path += [node] if node < first else []
+    return np.array(path[::-1], dtype=np.int64)

@@ -5,20 +5,24 @@ from __future__ import annotations
 import html
 import json
 import math
+import os
+import platform
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import datetime, timezone
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from markdown_it import MarkdownIt
 
-from regrasp_opt.benchmarks.harness.environment import environment
-from regrasp_opt.benchmarks.harness.runner import Row, write_csv
+from regrasp_opt.benchmarks.harness.runner import Row, git_revision, write_csv
 from regrasp_opt.files import atomic_path
 
 Cell = str | float | int | None
 FORMAT = 1
+PACKAGES = ("regrasp-opt", "numpy", "scipy", "torch", "casadi", "pin", "coal", "eaik", "trimesh", "joblib", "plotly")
+"""Those whose versions a report tells."""
 
 
 @dataclass(frozen=True)
@@ -41,25 +45,10 @@ class Figure:
 
 @dataclass(frozen=True)
 class Report:
-    """The outcome of one experiment.
+    """The outcome of one experiment: its name on the command line, a heading, what was measured, and all rows of it.
 
-    Attributes
-    ----------
-    name, title : str
-        Name on the command line, and heading.
-    text : str
-        What was measured, and how.
-    tables, figures
-    rows : list of Row
-        Everything measured.
-    instances : dict
-        Hash of the start-goal pairs, by object.
-    revisions : tuple of str
-        Git revisions of the code that made the rows.
-    settings : dict
-        Sizes and seeds.
-    command : str
-        The command that makes it, where that is not `regrasp-opt bench`.
+    `instances` has the hash of the start-goal pairs of each object, `revisions` the git revisions of the code that made
+    the rows, `settings` sizes and seeds; `command` is what makes it, where that is not `regrasp-opt bench`.
     """
 
     name: str
@@ -99,14 +88,43 @@ def write_report(report: Report, folder: Path) -> dict[str, Any]:
         "tables": [asdict(table) for table in report.tables],
         "command": report.command or f"regrasp-opt bench {report.name}",
     }
-    heading, empty, *rest = _section(summary, 1)
-    said = f"This page is written by `{summary['command']}`."
-    text = "\n".join([heading, empty, said, empty, *rest])
+    heading, *rest = _section(summary, 1)
+    text = "\n".join([heading, "", f"This page is written by `{summary['command']}`.", *rest])
     write_csv(report.rows, folder / "rows.csv")
     _write(folder / f"{report.name}.md", text)
     _write(folder / "index.html", _page(report.title, text, report.figures))
     _write(folder / "summary.json", json.dumps(summary, indent=1))
     return summary
+
+
+def environment() -> dict[str, Any]:
+    """Return what a figure is measured on, JSON-serialisable: versions and the machine."""
+    import torch
+
+    versions = {"python": platform.python_version()} | {name: _version(name) for name in PACKAGES}
+    machine = {
+        "system": platform.platform(),
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "accelerator": torch.cuda.get_device_name() if torch.cuda.is_available() else "none",
+    }
+    return {"versions": versions, "machine": machine, "revision": git_revision()}
+
+
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.processor())
 
 
 def write_document(folder: Path, path: Path) -> None:

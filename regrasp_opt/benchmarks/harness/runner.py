@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import csv
 import json
+import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,6 @@ import joblib
 from rich.console import Console
 from rich.progress import Progress, TaskID
 
-from regrasp_opt.benchmarks.harness.environment import git_revision
 from regrasp_opt.benchmarks.harness.parallel import resumed
 from regrasp_opt.errors import OptionError, RegraspError
 from regrasp_opt.files import atomic_path, content_hash
@@ -30,19 +30,10 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Item:
-    """A piece of an experiment that one worker computes.
+    """A piece of an experiment that one worker computes; its `key` is unique within the experiment.
 
-    Attributes
-    ----------
-    key : str
-        Unique within the experiment.
-    depends : str
-        Hash of everything, besides the code, that the rows depend on.
-    function : callable
-        Called with `arguments` in a worker; returns rows. It lives at the top level of a module.
-    arguments : tuple
-    columns : dict
-        Columns that every row of this item starts with.
+    The worker calls `function`, which lives at the top level of a module, with `arguments`; each of the rows that come
+    back starts with `columns`. `depends` is a hash of everything, besides the code, that the rows depend on.
     """
 
     key: str
@@ -66,17 +57,10 @@ class Results:
 
 
 def run_items(items: Sequence[Item], folder: Path, *, jobs: int = -1, quiet: bool = False) -> Results:
-    """Compute the rows of `items`, except where `folder` holds them already.
+    """Compute the rows of `items`, except where `folder` holds them already, by `jobs` workers, as joblib counts them.
 
     An item that raises a `RegraspError` becomes one row with its message in the column ``error``; it is tried again
     in the next run.
-
-    Parameters
-    ----------
-    jobs : int
-        Workers, as joblib counts them; the backend is joblib's current one.
-    quiet : bool
-        Show no progress.
 
     Raises
     ------
@@ -122,6 +106,17 @@ def _read(path: Path, item: Item) -> dict[str, Any]:
     return dict(content)
 
 
+@cache
+def git_revision() -> str:
+    """Return the revision of the code, with ``-dirty`` where files differ from it, or ``unknown`` outside a clone."""
+    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty", "--abbrev=12"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=10)
+    except (OSError, subprocess.TimeoutExpired):
+        return "unknown"
+    return (done.returncode == 0 and done.stdout.strip()) or "unknown"
+
+
 def write_csv(rows: Sequence[Row], path: Path) -> None:
     """Write `rows` to `path`, atomically; columns in the order in which they first occur, None as nothing."""
     columns = list(dict.fromkeys(name for row in rows for name in row))
@@ -135,9 +130,7 @@ def write_csv(rows: Sequence[Row], path: Path) -> None:
 def progress(quiet: bool = False) -> Iterator[Callable[[str, int, int], None]]:
     """Yield what shows (what, done, in all) on stderr; nothing is shown where that is not a terminal."""
     console = Console(stderr=True)
-    with Progress(
-        *Progress.get_default_columns(), console=console, disable=quiet or not console.is_terminal, transient=True
-    ) as bar:
+    with Progress(console=console, disable=quiet or not console.is_terminal, transient=True) as bar:
         tasks: dict[str, TaskID] = {}
 
         def show(what: str, done: int, total: int) -> None:

@@ -1,22 +1,28 @@
-"""One run of the benchmarks: what is evaluated, at which size, by how many workers, and where the results go."""
+"""One run of the benchmarks, and the one way to run an experiment in it.
+
+A session says what is evaluated, at which size, by how many workers, and where the results go. An experiment is the
+work on each object, and the tables and figures that are made from the rows that the workers return.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
-from regrasp_opt.benchmarks.harness.instances import Instance, PosePool, choose_instances
+from regrasp_opt.benchmarks.harness.instances import Instance, PosePool, choose_instances, instances_hash
 from regrasp_opt.benchmarks.harness.models import TrainingRequest, trained_energies
 from regrasp_opt.benchmarks.harness.oracle import PAPER_GRID, Oracle, Resolution, build_oracle
+from regrasp_opt.benchmarks.harness.report import Figure, Report, Table
 from regrasp_opt.benchmarks.harness.runner import Item, Results, Row, progress, run_items
-from regrasp_opt.benchmarks.harness.subjects import DEFAULT_WORKCELL, mesh_files, prepared_problem
+from regrasp_opt.benchmarks.harness.subjects import DEFAULT_WORKCELL, mesh_files, planning_key, prepared_problem
 from regrasp_opt.energy.model import EnergyModel
 from regrasp_opt.errors import RegraspError
+from regrasp_opt.files import content_hash
 from regrasp_opt.objects import ObjectModel, load_object
 from regrasp_opt.objects.builtin import OBJECT_NAMES
 from regrasp_opt.planning import RegraspProblem
@@ -34,21 +40,9 @@ COARSE_GRID = Resolution(0.04, 12)
 class Session:
     """Options that all experiments share.
 
-    Attributes
-    ----------
-    folder : Path
-        Where results are written, one folder for each experiment.
-    quick : bool
-        Minutes instead of the paper's sizes.
-    objects : Path or None
-        Folder of meshes that are evaluated besides the built-in objects.
-    names : tuple of str
-        Built-in objects that are evaluated.
-    jobs : int
-        Workers, as joblib counts them.
-    seed : int
-    quiet : bool
-        Show no progress.
+    Results are written to `folder`, one folder for each experiment. A `quick` session takes minutes instead of the
+    paper's sizes, a `quiet` one shows no progress. The built-in objects `names` and the meshes in the folder `objects`
+    are evaluated by `jobs` workers, as joblib counts them.
     """
 
     folder: Path
@@ -126,3 +120,57 @@ class Session:
     def execute(self, experiment: str, items: Sequence[Item]) -> Results:
         """Compute the rows of `items`, or read what an earlier run left in the experiment's folder."""
         return run_items(items, self.folder / experiment / "items", jobs=self.jobs, quiet=self.quiet)
+
+
+Work = Callable[[str, RegraspProblem], tuple[list[Item], str]]
+"""From name and problem of an object to its items and the hash of its start-goal pairs."""
+
+
+def run_experiment(
+    session: Session,
+    name: str,
+    title: str,
+    text: str,
+    work: Work,
+    tables: Callable[[list[Row], list[str]], Iterable[Table]],
+    *,
+    figures: Callable[[list[Row], list[str]], Iterable[Figure]] = lambda rows, names: (),
+    settings: dict[str, Any] | None = None,
+    most: int | None = None,
+) -> Report:
+    """Run the experiment `name` on the objects of a session, or on the first `most` of them.
+
+    `tables` and `figures` are made of the rows and the names of the objects that can be evaluated; `settings` is what
+    the report tells besides size and seed.
+    """
+    problems, unusable = session.subjects()
+    chosen = list(problems.items())[:most]
+    items: list[Item] = []
+    hashes: dict[str, str] = {}
+    for object_name, problem in chosen:
+        found, hashes[object_name] = work(object_name, problem)
+        items += found
+    results = session.execute(name, items)
+    rows, names = results.rows + unusable, list(hashes)
+    made = tuple(tables(rows, names)), rows, tuple(figures(rows, names))
+    told = {"quick": session.quick, "seed": session.seed, **(settings or {})}
+    return Report(name, title, text, *made, hashes, results.revisions, told)
+
+
+def pair_item(
+    name: str,
+    problem: RegraspProblem,
+    instance: Instance,
+    function: Callable[..., list[Row]],
+    *arguments: Any,
+    label: str = "",
+    **columns: Any,
+) -> Item:
+    """Return the item that calls `function` with `problem`, `instance` and `arguments`, on which its rows depend.
+
+    `name` is the object's; `label` is put behind the instance's, so that the item has a key of its own.
+    """
+    keys = [planning_key(a) if isinstance(a, RegraspProblem) else a for a in arguments]
+    depends_on = content_hash(planning_key(problem), instances_hash([instance]), *keys)
+    columns = {"object": name, "pair": instance.name, **columns}
+    return Item(f"{instance.name}{label}", depends_on, function, (replace(problem), instance, *arguments), columns)

@@ -15,11 +15,10 @@ from plotly.subplots import make_subplots
 from scipy.stats import spearmanr
 
 from regrasp_opt.benchmarks.harness import tables
-from regrasp_opt.benchmarks.harness.experiment import pair_item, run_experiment
 from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash, planar_parameters
 from regrasp_opt.benchmarks.harness.report import Cell, Figure, Report, Table, mean, percent
 from regrasp_opt.benchmarks.harness.runner import Item, Row
-from regrasp_opt.benchmarks.harness.session import Session
+from regrasp_opt.benchmarks.harness.session import Session, pair_item, run_experiment
 from regrasp_opt.benchmarks.harness.subjects import resident
 from regrasp_opt.connectivity import CostOptions, sequence_cost
 from regrasp_opt.connectivity.costs import COST_VARIANTS

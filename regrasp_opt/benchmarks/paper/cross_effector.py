@@ -9,13 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from regrasp_opt.benchmarks.harness import tables
-from regrasp_opt.benchmarks.harness.experiment import run_experiment
 from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
 from regrasp_opt.benchmarks.harness.models import TrainingRequest
 from regrasp_opt.benchmarks.harness.oracle import Oracle, Resolution
 from regrasp_opt.benchmarks.harness.report import Cell, Report, Table, mean, percent
 from regrasp_opt.benchmarks.harness.runner import Item, Row
-from regrasp_opt.benchmarks.harness.session import QUICK_GRID, Session
+from regrasp_opt.benchmarks.harness.session import QUICK_GRID, Session, run_experiment
 from regrasp_opt.benchmarks.harness.subjects import problem_key, resident
 from regrasp_opt.benchmarks.paper.published import CROSS_EFFECTOR, END_EFFECTORS, PAPER_OBJECT
 from regrasp_opt.connectivity import CostOptions, block, exact_energy
@@ -118,7 +117,7 @@ def constant_energy() -> EnergyModel:
 
 def _energies(session: Session, problems: dict[str, RegraspProblem], samples: int) -> dict[str, EnergyModel]:
     options = TrainingOptions(use_width=False, seed=session.seed)
-    requests = [TrainingRequest(problem, options, samples, session.seed) for problem in problems.values()]
+    requests = [TrainingRequest(problem, options, samples) for problem in problems.values()]
     return dict(zip(problems, session.trained(requests), strict=True))
 
 

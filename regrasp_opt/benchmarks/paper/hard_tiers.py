@@ -12,13 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from regrasp_opt.benchmarks.harness import tables
-from regrasp_opt.benchmarks.harness.experiment import pair_item, run_experiment
 from regrasp_opt.benchmarks.harness.instances import TIERS, Instance, choose_instances, instances_hash
 from regrasp_opt.benchmarks.harness.oracle import Resolution
 from regrasp_opt.benchmarks.harness.planners import plan_row, solvable, solved_by_both
 from regrasp_opt.benchmarks.harness.report import Report, Table
 from regrasp_opt.benchmarks.harness.runner import Item, Row
-from regrasp_opt.benchmarks.harness.session import Session
+from regrasp_opt.benchmarks.harness.session import Session, pair_item, run_experiment
 from regrasp_opt.conventions import IntArray, translation
 from regrasp_opt.errors import RegraspError
 from regrasp_opt.geometry.shapes import Box

@@ -6,12 +6,11 @@ from collections.abc import Hashable
 from dataclasses import replace
 
 from regrasp_opt.benchmarks.harness import tables
-from regrasp_opt.benchmarks.harness.experiment import pair_item, run_experiment
 from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
 from regrasp_opt.benchmarks.harness.planners import plan_row, solvable, solved_by_both
 from regrasp_opt.benchmarks.harness.report import Cell, Figure, Report, Table
 from regrasp_opt.benchmarks.harness.runner import Item, Row
-from regrasp_opt.benchmarks.harness.session import Session
+from regrasp_opt.benchmarks.harness.session import Session, pair_item, run_experiment
 from regrasp_opt.benchmarks.paper.published import MULTI_STEP, PAPER_OBJECT
 from regrasp_opt.planning import Recipe, RegraspProblem
 from regrasp_opt.planning.recipes import RECIPES, paper_recipe

@@ -16,13 +16,12 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from regrasp_opt.benchmarks.harness import tables
-from regrasp_opt.benchmarks.harness.experiment import pair_item, run_experiment
 from regrasp_opt.benchmarks.harness.generation import GENERATORS, OneStepTask, distinct, generate
 from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
 from regrasp_opt.benchmarks.harness.oracle import Oracle
 from regrasp_opt.benchmarks.harness.report import Figure, Report, Table, percent
 from regrasp_opt.benchmarks.harness.runner import Item, Row
-from regrasp_opt.benchmarks.harness.session import Session
+from regrasp_opt.benchmarks.harness.session import Session, pair_item, run_experiment
 from regrasp_opt.benchmarks.harness.subjects import resident
 from regrasp_opt.benchmarks.paper.published import ONE_STEP, PAPER_OBJECT
 from regrasp_opt.connectivity import CostOptions
