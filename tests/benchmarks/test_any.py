@@ -7,8 +7,7 @@ import pytest
 
 from regrasp_opt.benchmarks.comparisons import any as any_module
 from regrasp_opt.benchmarks.comparisons.any import AnySizes, contenders, from_fallback, run_any
-from regrasp_opt.benchmarks.comparisons.unseen_meshes import FAMILIES, VARIANTS, made_meshes
-from regrasp_opt.benchmarks.comparisons.unseen_scenes import FEWEST, MOST, random_scene
+from regrasp_opt.benchmarks.comparisons.unseen import FAMILIES, FEWEST, MOST, VARIANTS, made_meshes, random_scene
 from regrasp_opt.benchmarks.comparisons.unseen_tables import any_tables
 from regrasp_opt.benchmarks.harness.report import write_report
 from regrasp_opt.benchmarks.harness.session import Session

@@ -104,7 +104,7 @@ def test_pairs_whose_ends_no_grasp_reaches_are_skipped_with_the_reason(useless, 
 
 def test_costs_that_do_not_change_along_a_sweep_agree_with_nothing():
     rows = [{"J": 1.0, "shared_start": k, "shared_goal": 3 - k} for k in range(4)]
-    assert cost_sweep._agreement(rows, "J") == 0.0
+    assert cost_sweep.sweep_row(rows, "J")["agreement"] == 0.0
 
 
 def test_workcells_without_a_model_are_left_out_of_the_hard_tiers(bottle_problem, tmp_path, monkeypatch):

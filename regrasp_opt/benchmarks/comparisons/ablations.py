@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from regrasp_opt.benchmarks.harness import tables
-from regrasp_opt.benchmarks.harness.generation import GENERATORS, OneStepTask, generate
+from regrasp_opt.benchmarks.harness.generation import GENERATORS, NO_GRASP, OneStepTask, generate
 from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
 from regrasp_opt.benchmarks.harness.models import TrainingRequest
 from regrasp_opt.benchmarks.harness.report import Report, Table
@@ -41,23 +41,22 @@ SOLVES = 10
 class Variant:
     """A change: of the training, of the share of the samples, of the cost, or of the number of grasps."""
 
-    training: TrainingOptions = field(default_factory=TrainingOptions)
+    training: TrainingOptions = PRESETS["default"]
     samples: float = 1.0
     cost: CostOptions = field(default_factory=CostOptions)
     grasps: int | None = None
 
 
-_DEFAULT = TrainingOptions()
 VARIANTS: dict[str, Variant] = {
     "default": Variant(),
     "paper's preset": Variant(PRESETS["paper"]),
-    "features [T, g]": Variant(replace(_DEFAULT, features="paper")),
-    "SELU": Variant(replace(_DEFAULT, activation="selu")),
-    "tanh": Variant(replace(_DEFAULT, activation="tanh")),
-    "unbounded": Variant(replace(_DEFAULT, bounded=False)),
-    "no width": Variant(replace(_DEFAULT, use_width=False)),
-    "hidden 32": Variant(replace(_DEFAULT, hidden=32)),
-    "hidden 128": Variant(replace(_DEFAULT, hidden=128)),
+    "features [T, g]": Variant(TrainingOptions(features="paper")),
+    "SELU": Variant(TrainingOptions(activation="selu")),
+    "tanh": Variant(TrainingOptions(activation="tanh")),
+    "unbounded": Variant(TrainingOptions(bounded=False)),
+    "no width": Variant(TrainingOptions(use_width=False)),
+    "hidden 32": Variant(TrainingOptions(hidden=32)),
+    "hidden 128": Variant(TrainingOptions(hidden=128)),
     "samples / 4": Variant(samples=0.25),
     "samples / 2": Variant(samples=0.5),
     "lambda_reg 0": Variant(cost=CostOptions(lambda_reg=0.0)),
@@ -108,10 +107,8 @@ def measure_variant(
     rows: list[Row] = [{"ap": held_out["average_precision"], "shared_f1": held_out["shared_f1"]}]
     for number, instance in enumerate(pairs):
         task = OneStepTask(problem, energy, instance.ends)
-        if not task.possible:
-            rows.append({"pair": instance.name, "skipped": "no grasp of this set is feasible at one of the ends"})
-            continue
-        rows.append({"pair": instance.name, **_measure(task, variant, [seed, 71, number])})
+        found = _measure(task, variant, [seed, 71, number]) if task.possible else {"skipped": NO_GRASP}
+        rows.append({"pair": instance.name, **found})
     return rows
 
 

@@ -17,8 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from regrasp_opt.benchmarks.comparisons.speed import process_row
-from regrasp_opt.benchmarks.comparisons.unseen_meshes import made_meshes
-from regrasp_opt.benchmarks.comparisons.unseen_scenes import random_scene
+from regrasp_opt.benchmarks.comparisons.unseen import made_meshes, random_scene
 from regrasp_opt.benchmarks.comparisons.unseen_tables import TEXT, any_tables
 from regrasp_opt.benchmarks.harness.instances import Instance, PosePool, choose_instances
 from regrasp_opt.benchmarks.harness.oracle import Oracle, check_poses
@@ -76,17 +75,10 @@ class Contender(NamedTuple):
 def run_any(session: Session) -> Report:
     """Measure plans for meshes and scenes that nothing was prepared for."""
     sizes = QUICK if session.quick else FULL
-    alone = replace(session, jobs=1)
-    results = alone.execute("any", list(_items(session, sizes)))
-    return Report(
-        "any",
-        "Any mesh, any scene",
-        TEXT,
-        tuple(any_tables(results.rows)),
-        results.rows,
-        revisions=results.revisions,
-        settings={"quick": session.quick, "seed": session.seed, **asdict(sizes)},
-    )
+    results = replace(session, jobs=1).execute("any", list(_items(session, sizes)))
+    made = tuple(any_tables(results.rows)), results.rows
+    told = {"quick": session.quick, "seed": session.seed, **asdict(sizes)}
+    return Report("any", "Any mesh, any scene", TEXT, *made, revisions=results.revisions, settings=told)
 
 
 def _items(session: Session, sizes: AnySizes) -> Iterator[Item]:
@@ -183,23 +175,18 @@ def scene_rows(name: str, number: int, sizes: AnySizes, session: Session) -> lis
     rows: list[Row] = []
     for pair in pairs:
         began, processor = time.perf_counter(), time.process_time()
-        moved = base.with_obstacles(obstacles)
-        plan = _solve(Contender(moved, "ipopt"), pair, sizes, session.seed)
-        took = {"moved": time.perf_counter() - began, "processor": time.process_time() - processor}
-        found = {"moved": None} if not plan.solved else {}
-        rows.append({"pair": pair.name, "obstacles": len(obstacles), **took, **found})
+        plan = _solve(Contender(base.with_obstacles(obstacles), "ipopt"), pair, sizes, session.seed)
+        moved = time.perf_counter() - began if plan.solved else None
+        took = {"moved": moved, "processor": time.process_time() - processor}
+        rows.append({"pair": pair.name, "obstacles": len(obstacles), **took})
     there = {label: way._replace(problem=way.problem.with_obstacles(obstacles)) for label, way in ways.items()}
     return rows + _pair_rows(there, pairs, sizes, session.seed)
 
 
 def contenders(problem: RegraspProblem, own: RegraspProblem | None = None) -> dict[str, Contender]:
     """Return ways to plan by name; `own` is the same problem with the energy of its object."""
-    control = replace(problem)
-    vars(control).update(
-        checker=problem.checker,
-        rules=problem.rules,
-        energy=ProblemEnergy(constant_energy(), problem.grasps, problem.rests.planar),
-    )
+    control, energy = replace(problem), ProblemEnergy(constant_energy(), problem.grasps, problem.rests.planar)
+    vars(control).update(checker=problem.checker, rules=problem.rules, energy=energy)
     ways = {"arm energy": Contender(problem, "ipopt")}
     if own is not None:
         ways["own energy"] = Contender(own, "ipopt")
@@ -258,17 +245,8 @@ def _pair_rows(ways: dict[str, Contender], pairs: list[Instance], sizes: AnySize
             plan = _solve(way, pair, sizes, seed)
             processor = time.process_time() - processor
             times = {f"t_{name}": seconds for name, seconds in plan.timings.items()}
-            rows.append(
-                {
-                    "pair": pair.name,
-                    "planner": label,
-                    **outcome(plan, pair),
-                    **effort(plan),
-                    "unrefined": plan.solved and from_fallback(plan),
-                    **times,
-                    "processor": processor,
-                }
-            )
+            found = {**outcome(plan, pair), **effort(plan), "unrefined": plan.solved and from_fallback(plan)}
+            rows.append({"pair": pair.name, "planner": label, **found, **times, "processor": processor})
     return rows
 
 

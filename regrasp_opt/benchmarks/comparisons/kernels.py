@@ -118,11 +118,9 @@ def derivative_rows(repeats: int) -> list[Row]:
     num_regrasps, count, hidden = (DERIVATIVE_SIZES[axis] for axis in "NGH")
     energy = random_energy(count, hidden)
     arguments = _arguments(energy, num_regrasps)
-    built = {
-        "plain": CasadiEnergy(energy.model, count),
-        "blas": _ProductsByBlas(energy.model, count, 3 * num_regrasps),
-    }
-    costs = {"ours": parametric_functions(CasadiEnergy(energy.model, count), CostOptions(), num_regrasps).J_seq}
+    plain = CasadiEnergy(energy.model, count)
+    built = {"plain": plain, "blas": _ProductsByBlas(energy.model, count, 3 * num_regrasps)}
+    costs = {"ours": parametric_functions(plain, CostOptions(), num_regrasps).J_seq}
     costs |= {key: plain_sequence_cost(energies, CostOptions(), num_regrasps) for key, energies in built.items()}
     functions = {key: _derivatives(cost) for key, cost in costs.items()}
     rows: list[Row] = []

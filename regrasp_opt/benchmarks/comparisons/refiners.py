@@ -66,23 +66,21 @@ def _instances(session: Session, name: str, problem: RegraspProblem) -> list[tup
 
 def _items(session: Session, name: str, condition: Condition, instance: Instance) -> list[Item]:
     reduced, limit = condition.reduced, TIME_LIMIT[session.quick]
-    whole = replace(condition.problem)
     prepared = sum(read_report(reduced.model_folder)["times"].values()) if reduced.model_folder else None
 
     def item(planner: str, function: Callable[..., list[Row]], *arguments: Any, **columns: Any) -> Item:
         columns = {"condition": condition.label, "planner": planner, **columns}
         return pair_item(name, reduced, instance, function, *arguments, label=f"/{planner}", **columns)
 
-    return [item(GRAPH, graph_row, whole, condition.ids, condition.grid)] + [
+    return [item(GRAPH, graph_row, replace(condition.problem), condition.ids, condition.grid)] + [
         item(planner, plan_row, planner, session.seed, limit, before=None if planner in UNPREPARED else prepared)
         for planner in PLANNERS
     ]
 
 
 def _by_planner(rows: list[Row]) -> dict[str, list[Row]]:
-    measured = [row for row in rows if "solved" in row]
-    names = (GRAPH, *PLANNERS)
-    return {name: [row for row in measured if row["planner"] == name] for name in names}
+    measured = tables.grouped([row for row in rows if "solved" in row], "planner")
+    return {name: measured.get((name,), []) for name in (GRAPH, *PLANNERS)}
 
 
 def _success_table(rows: list[Row]) -> Table:

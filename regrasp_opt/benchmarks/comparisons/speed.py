@@ -25,7 +25,7 @@ from regrasp_opt.benchmarks.harness.report import Report, Table
 from regrasp_opt.benchmarks.harness.runner import Row, git_revision, progress
 from regrasp_opt.benchmarks.harness.session import Session
 from regrasp_opt.benchmarks.harness.subjects import mesh_files
-from regrasp_opt.planning import Recipe, RegraspPlan, RegraspProblem, solve_sequence
+from regrasp_opt.planning import Recipe, RegraspProblem, solve_sequence
 from regrasp_opt.planning.tasks import Task, random_task
 from regrasp_opt.solvers import NlpRefiner
 
@@ -39,7 +39,7 @@ THIN_GRASPS = 12
 
 @dataclass(frozen=True)
 class SpeedSizes:
-    """How much is measured, all of these being numbers.
+    """How much is measured, all of these being numbers; by default in full runs.
 
     Of each object `plans` tasks with all grasps; of the first with one regrasp `langevin` by Langevin at the paper's
     setting too; `thin` plans with two or three regrasps, with few grasps. Each derivative and each point of a curve is
@@ -47,17 +47,16 @@ class SpeedSizes:
     `runs` times, and the model of each mesh is trained on `samples` feasible pairs.
     """
 
-    plans: int
-    thin: int
-    langevin: int
-    repeats: int
-    checks: int
-    runs: int
-    samples: int
+    plans: int = 200
+    thin: int = 40
+    langevin: int = 30
+    repeats: int = 25
+    checks: int = 100_000
+    runs: int = 7
+    samples: int = 20_000
 
 
 QUICK = SpeedSizes(12, 6, 1, 5, 10_000, 3, 2_000)
-FULL = SpeedSizes(200, 40, 30, 25, 100_000, 7, 20_000)
 
 PARTS = {
     "ends": ("exact feasibility at start and goal", "one exact check of every grasp at two poses"),
@@ -71,7 +70,7 @@ PARTS = {
 
 def run_speed(session: Session) -> Report:
     """Measure plans, what they are made of, and whole processes, all one after the other."""
-    sizes = QUICK if session.quick else FULL
+    sizes = QUICK if session.quick else SpeedSizes()
     meshes = [] if session.objects is None else mesh_files(session.objects)
     work = [
         *(partial(plan_rows, name, sizes) for name in session.names),
@@ -85,15 +84,9 @@ def run_speed(session: Session) -> Report:
         for done, measure in enumerate(work):
             show("measurements", done, len(work))
             rows += measure()
-    return Report(
-        "speed",
-        "Performance",
-        TEXT,
-        (_plans(rows), _parts(rows), _derivatives(rows), _iterations(rows), _checks(rows), _processes(rows)),
-        rows,
-        revisions=(git_revision(),),
-        settings={"quick": session.quick},
-    )
+    made = tuple(table(rows) for table in (_plans, _parts, _derivatives, _iterations, _checks, _processes)), rows
+    told = {"quick": session.quick}
+    return Report("speed", "Performance", TEXT, *made, revisions=(git_revision(),), settings=told)
 
 
 def plan_rows(name: str, sizes: SpeedSizes) -> list[Row]:
@@ -127,9 +120,8 @@ def _thin_rows(problem: RegraspProblem, count: int, rng: np.random.Generator) ->
 
 def _timed(problem: RegraspProblem, task: Task, refiner: str, seed: int) -> Row:
     began = time.perf_counter()
-    plan: RegraspPlan = solve_sequence(problem, task.start, task.goal, refiner, seed=seed)
+    plan = solve_sequence(problem, task.start, task.goal, refiner, seed=seed)
     seconds = time.perf_counter() - began
-    parts = {f"t_{name}": value for name, value in plan.timings.items() if name != "total"}
     return {
         "object": problem.object.name,
         "grasps": len(problem.grasps),
@@ -139,7 +131,7 @@ def _timed(problem: RegraspProblem, task: Task, refiner: str, seed: int) -> Row:
         "solved": plan.solved,
         "N": plan.num_regrasps if plan.solved else None,
         "seconds": seconds,
-        **parts,
+        **{f"t_{name}": value for name, value in plan.timings.items() if name != "total"},
     }
 
 
@@ -154,14 +146,9 @@ print(json.dumps([child.returncode, resource.getrusage(resource.RUSAGE_CHILDREN)
 def process_row(label: str, arguments: list[str], environment: dict[str, str] | None = None) -> Row:
     """Run the command line in a child process; return its wall time [s], peak memory [MB] and exit code."""
     command = [sys.executable, "-c", "from regrasp_opt.cli import main; main()", *arguments]
+    command, variables = [sys.executable, "-c", _WATCH, *command], {**os.environ, **(environment or {})}
     began = time.perf_counter()
-    watched = subprocess.run(
-        [sys.executable, "-c", _WATCH, *command],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={**os.environ, **(environment or {})},
-    )
+    watched = subprocess.run(command, capture_output=True, text=True, check=True, env=variables)
     seconds = time.perf_counter() - began
     code, peak = json.loads(watched.stdout)
     return {"process": label, "seconds": seconds, "peak_mb": _megabytes(peak), "exit": code}
@@ -174,9 +161,7 @@ def _megabytes(peak: int) -> float:
 
 def process_rows(meshes: list[Path], sizes: SpeedSizes) -> list[Row]:
     """Return rows of whole processes: help, a plan from a stored model, prepare and plan for each mesh, and ours."""
-    rows = [
-        process_row(" ".join(["regrasp-opt", word]), [word]) for word in ("--help", "plan") for _ in range(sizes.runs)
-    ]
+    rows = [process_row(f"regrasp-opt {word}", [word]) for word in ("--help", "plan") for _ in range(sizes.runs)]
     for mesh in meshes:
         with tempfile.TemporaryDirectory() as home:
             fresh = {"REGRASP_OPT_HOME": home}
@@ -237,12 +222,10 @@ def _plans(rows: list[Row]) -> Table:
 def _parts(rows: list[Row]) -> Table:
     chosen = [row for row in rows if _all_grasps(row) and row["N"] == 1]
     total = float(np.median([row["seconds"] for row in chosen]))
-    lines, rest = [], total
-    for part, (meaning, bound) in PARTS.items():
-        seconds = float(np.median([row.get(f"t_{part}", 0.0) for row in chosen]))
-        rest -= seconds
-        lines.append((meaning, round(1e3 * seconds, 1), round(100 * seconds / total), bound))
-    lines.append(("the rest", round(1e3 * max(rest, 0.0), 1), round(100 * max(rest, 0.0) / total), ""))
+    medians = {part: float(np.median([row.get(f"t_{part}", 0.0) for row in chosen])) for part in PARTS}
+    parts = [(*PARTS[part], seconds) for part, seconds in medians.items()]
+    parts.append(("the rest", "", max(total - sum(medians.values()), 0.0)))
+    lines = [(what, round(1e3 * t, 1), round(100 * t / total), bound) for what, bound, t in parts]
     header = ("part", "median [ms]", "share [%]", "bounded from below by")
     return Table("Where the time of one plan goes", header, tuple(lines), "Plans with all grasps and one regrasp.")
 
@@ -275,9 +258,8 @@ def _derivatives(rows: list[Row]) -> Table:
 def _iterations(rows: list[Row]) -> Table:
     here = [row for row in rows if "along" in row]
     columns = {"N": "N", "G": "G", "H": "H", "time [ms]": _milliseconds("iteration")}
-    note = ", ".join(
-        f"{axis} {kernels.exponent(along, axis):.2f}" for (axis,), along in tables.grouped(here, "along").items()
-    )
+    curves = tables.grouped(here, "along").items()
+    note = ", ".join(f"{axis} {kernels.exponent(along, axis):.2f}" for (axis,), along in curves)
     note = f"Cost, gradient and Hessian together. Exponents of the time in each size: {note}."
     return tables.listing("Cost of one Ipopt iteration", here, columns, note)
 

@@ -21,9 +21,10 @@ def any_tables(rows: list[Row]) -> list[Table]:
 
 
 def _first(rows: list[Row]) -> Table:
-    solved = {"first": "mesh file to plan, warm process", "moved": "obstacles put in to plan"}
-    groups = {label: [row for row in rows if key in row] for key, label in solved.items()}
-    timed = {label: [{**row, "seconds": row[key]} for row in groups[label]] for key, label in solved.items()}
+    timed = {
+        label: [{**row, "seconds": row[key]} for row in rows if key in row]
+        for key, label in (("first", "mesh file to plan, warm process"), ("moved", "obstacles put in to plan"))
+    }
     done = [{**row, "seconds": row["seconds"] if row["exit"] == 0 else None} for row in rows if "exit" in row]
     timed["mesh file to plan, whole process"] = done
     warm = [row for row in rows if row.get("part") == "built-in" and "planner" in row and row["num_regrasps"] == 1]
@@ -34,7 +35,7 @@ def _first(rows: list[Row]) -> Table:
         "planned": tables.count(lambda row: row["seconds"] is not None),
         "median [s]": tables.middle("seconds"),
         "p95 [s]": tables.late("seconds"),
-        "longest [s]": _longest,
+        "longest [s]": tables.largest("seconds"),
         "median, processor [s]": tables.middle("processor", of=lambda row: row["seconds"] is not None),
     }
     return tables.summary(
@@ -46,11 +47,6 @@ def _first(rows: list[Row]) -> Table:
         "with an empty data folder, for the same pair. Obstacles: `with_obstacles` and the plan, on a problem "
         "that has planned without them. Built-in objects: lattice and solvers are there.",
     )
-
-
-def _longest(rows: list[Row]) -> float | None:
-    seconds = tables.values(rows, "seconds")
-    return round(max(seconds), 3) if seconds else None
 
 
 def _success(rows: list[Row]) -> Table:
@@ -103,9 +99,7 @@ def _meshes(rows: list[Row]) -> Table:
 
     columns: dict[str, tables.Value] = {
         "mesh": "object",
-        "faces": "faces",
-        "placements": "placements",
-        "grasps": "grasps",
+        **{name: name for name in ("faces", "placements", "grasps")},
         "grasps [s]": seconds("sampling"),
         "first plan [s]": seconds("plan"),
         "in all [s]": seconds("first"),

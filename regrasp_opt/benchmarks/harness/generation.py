@@ -22,6 +22,9 @@ from regrasp_opt.solvers.lattice import shared_cost
 DISTINCT = np.array([0.005, 0.005, np.radians(5.0)])
 """Poses of one placement that fall into the same cell of this size [m, m, rad] count as the same."""
 
+NO_GRASP = "no grasp of this set is feasible at one of the ends"
+"""Why a pair is skipped."""
+
 
 @dataclass(frozen=True)
 class Generator:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from statistics import median
 from typing import Any
 
 import numpy as np
@@ -51,24 +50,29 @@ def average(value: Value, digits: int = 2, of: Value | None = None) -> Column:
     return lambda rows: mean(values(rows, value, of), digits)
 
 
-def middle(value: Value, digits: int = 3, of: Value | None = None) -> Column:
-    """Return the column of a rounded median."""
+def quantile(value: Value, share: float, digits: int = 3, of: Value | None = None) -> Column:
+    """Return the column of the rounded value that a `share` of the rows do not exceed."""
 
     def column(rows: list[Row]) -> Cell:
         found = values(rows, value, of)
-        return round(float(median(found)), digits) if found else None
+        return round(float(np.quantile(found, share)), digits) if found else None
 
     return column
+
+
+def middle(value: Value, digits: int = 3, of: Value | None = None) -> Column:
+    """Return the column of a rounded median."""
+    return quantile(value, 0.5, digits, of)
 
 
 def late(value: Value, digits: int = 3, of: Value | None = None) -> Column:
     """Return the column of a rounded 95th percentile."""
+    return quantile(value, 0.95, digits, of)
 
-    def column(rows: list[Row]) -> Cell:
-        found = values(rows, value, of)
-        return round(float(np.percentile(found, 95)), digits) if found else None
 
-    return column
+def largest(value: Value, digits: int = 3) -> Column:
+    """Return the column of the largest value, rounded."""
+    return quantile(value, 1.0, digits)
 
 
 def summary(

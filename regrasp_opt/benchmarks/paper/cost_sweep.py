@@ -7,8 +7,6 @@ numbers of shared grasps beneath.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
@@ -16,7 +14,7 @@ from scipy.stats import spearmanr
 
 from regrasp_opt.benchmarks.harness import tables
 from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash, planar_parameters
-from regrasp_opt.benchmarks.harness.report import Cell, Figure, Report, Table, mean, percent
+from regrasp_opt.benchmarks.harness.report import Figure, Report, Table
 from regrasp_opt.benchmarks.harness.runner import Item, Row
 from regrasp_opt.benchmarks.harness.session import Session, pair_item, run_experiment
 from regrasp_opt.benchmarks.harness.subjects import resident
@@ -51,10 +49,9 @@ def run_cost_sweep(session: Session) -> Report:
         pairs = session.chosen(name, problem, oracle, {"1": CANDIDATES}, 51)
         swept = [pair for pair in pairs if _same_placement(problem, pair)][: PAIRS[session.quick]]
         items = [
-            pair_item(name, problem, pair, function, label=f"/{part}", part=part, first=pair is chosen[0])
-            for function, chosen in ((compare_sums, sums), (sweep, swept))
+            pair_item(name, problem, pair, f, label=f"/{f.__name__}", part=f.__name__, first=pair is chosen[0])
+            for f, chosen in ((compare_sums, sums), (sweep, swept))
             for pair in chosen
-            if (part := function.__name__)
         ]
         return items, instances_hash([*sums, *swept])
 
@@ -144,57 +141,59 @@ def sweep_poses(problem: RegraspProblem, instance: Instance) -> FloatArray:
 def _sum_table(rows: list[Row], names: list[str]) -> Table:
     titles = ("AP start", "AP goal", "AP shared", "best F1 shared", "F1 at h")
     keys = ("ap_start", "ap_goal", "ap_shared", "f1_shared", "f1_at_h")
-    averages = {title: tables.average(key, 3) for title, key in zip(titles, keys, strict=True)}
     return tables.summary(
         "Summed energies against exact shared grasps",
         ("object",),
         tables.by_object([row for row in rows if "ap_shared" in row], names),
-        {"pairs": len, **averages},
+        {"pairs": len, **{title: tables.average(key, 3) for title, key in zip(titles, keys, strict=True)}},
         "Average precision of ranking all grasps by energy, mean over pairs with at least one shared grasp.",
-    )
-
-
-def _sweep_table(rows: list[Row], names: list[str]) -> Table:
-    lines: list[tuple[Cell, ...]] = []
-    for name in names:
-        sweeps = _sweeps(rows, name, max(GRASP_COUNTS))
-        open_ones = [s for s in sweeps if (_weakest(s) > 0).any()]
-        for variant, label in COST_NAMES.items():
-            valid = percent([_weakest(s)[int(_values(s, variant).argmin())] > 0 for s in open_ones])
-            flat = percent([float((abs(np.diff(_values(s, variant))) < FLAT).mean()) for s in sweeps])
-            agreement = mean([_agreement(s, variant) for s in open_ones])
-            lines.append((name, label, len(sweeps), len(open_ones), valid, flat, agreement))
-    return Table(
-        "Costs along the sweep, all grasps",
-        ("object", "cost", "sweeps", "with a valid step", "minimum valid [%]", "flat steps [%]", "rank correlation"),
-        tuple(lines),
-        "Minimum valid: the step of least cost shares a grasp with both ends, of the sweeps that have such a step. "
-        "Rank correlation: of low cost with the smaller of the two exact shared counts.",
     )
 
 
 COST_NAMES = {"J": "J_seq", "J+": "J+_seq", "Jh": "J^h_seq"}
 
 
-def _sweeps(rows: list[Row], name: str, count: int) -> list[list[Row]]:
+def _sweep_table(rows: list[Row], names: list[str]) -> Table:
+    groups = {
+        (name, label): [sweep_row(sweep, variant) for sweep in _sweeps(rows, name)]
+        for name in names
+        for variant, label in COST_NAMES.items()
+    }
+    columns = {
+        "sweeps": len,
+        "with a valid step": tables.count("open"),
+        "minimum valid [%]": tables.share("valid", of="open"),
+        "flat steps [%]": tables.share("flat"),
+        "rank correlation": tables.average("agreement", of="open"),
+    }
+    return tables.summary(
+        "Costs along the sweep, all grasps",
+        ("object", "cost"),
+        groups,
+        columns,
+        "Minimum valid: the step of least cost shares a grasp with both ends, of the sweeps that have such a step. "
+        "Rank correlation: of low cost with the smaller of the two exact shared counts.",
+    )
+
+
+def _sweeps(rows: list[Row], name: str) -> list[list[Row]]:
+    """Return the rows of each sweep of an object with the most grasps."""
     here = [row for row in rows if row["object"] == name and "step" in row]
     largest = max((row["grasps"] for row in here), default=0)
-    return list(tables.grouped([row for row in here if row["grasps"] == min(count, largest)], "pair").values())
+    return list(tables.grouped([row for row in here if row["grasps"] == largest], "pair").values())
 
 
-def _values(rows: list[Row], key: str) -> Any:
-    return np.array([row[key] for row in rows], dtype=np.float64)
-
-
-def _weakest(rows: list[Row]) -> Any:
-    return np.minimum(_values(rows, "shared_start"), _values(rows, "shared_goal"))
-
-
-def _agreement(rows: list[Row], variant: str) -> float:
-    values = _values(rows, variant)
-    if np.ptp(values) < FLAT or np.ptp(_weakest(rows)) == 0:
-        return 0.0
-    return float(spearmanr(-values, _weakest(rows)).statistic)
+def sweep_row(rows: list[Row], variant: str) -> Row:
+    """Return what is told of one sweep: whether it has a valid step, and what the cost `variant` makes of that."""
+    values, *ends = (np.array([row[key] for row in rows], float) for key in (variant, "shared_start", "shared_goal"))
+    weakest = np.minimum(*ends)
+    told = np.ptp(values) >= FLAT and np.ptp(weakest) > 0
+    return {
+        "open": bool((weakest > 0).any()),
+        "valid": bool(weakest[values.argmin()] > 0),
+        "flat": float((abs(np.diff(values)) < FLAT).mean()),
+        "agreement": float(spearmanr(-values, weakest).statistic) if told else 0.0,
+    }
 
 
 def _sum_figure(rows: list[Row], name: str) -> go.Figure:

@@ -12,7 +12,7 @@ from regrasp_opt.benchmarks.harness import tables
 from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
 from regrasp_opt.benchmarks.harness.models import TrainingRequest
 from regrasp_opt.benchmarks.harness.oracle import Oracle, Resolution
-from regrasp_opt.benchmarks.harness.report import Cell, Report, Table, mean, percent
+from regrasp_opt.benchmarks.harness.report import Cell, Report, Table, percent
 from regrasp_opt.benchmarks.harness.runner import Item, Row
 from regrasp_opt.benchmarks.harness.session import QUICK_GRID, Session, run_experiment
 from regrasp_opt.benchmarks.harness.subjects import problem_key, resident
@@ -43,7 +43,6 @@ TEXT = (
 K_TOP = 100
 CONSTANT, OWN = "constant", "own"
 """Rows beside those of the trained end-effectors: the control, and the diagonal once more."""
-_BLOCK_COLUMNS = ("constant", "trained", "own", "least cell", "below constant", "cells", "paper")
 KINDS = {"grippers": END_EFFECTORS[:3], "suction": END_EFFECTORS[3:]}
 """The end-effectors of each kind; a block of the table leads from one kind to one."""
 
@@ -75,7 +74,10 @@ def run_cross_effector(session: Session) -> Report:
             except RegraspError as error:
                 columns: Row = {"object": name, "trained": effector, "tested": effector}
                 items.append(Item(f"{name}/{effector}", "", _refused, (str(error),), columns))
-        energies = {CONSTANT: constant_energy()} | _energies(session, problems, sizes.samples)
+        options = TrainingOptions(use_width=False, seed=session.seed)
+        requests = [TrainingRequest(candidate, options, sizes.samples) for candidate in problems.values()]
+        trained_ones = zip(problems, session.trained(requests), strict=True)
+        energies = {CONSTANT: constant_energy(), **dict(trained_ones)}
         for tested, candidate in problems.items():
             oracle = session.oracle(f"{name}, {tested}", candidate, sizes.grid)
             pairs = session.chosen(f"{name}/{tested}", candidate, oracle, {"1": sizes.pairs}, 60)
@@ -113,12 +115,6 @@ def constant_energy() -> EnergyModel:
     zeros = [np.zeros(shape, np.float32) for shape in ((1, feature_count("tcp", False)), (1, 1), (1, 1))]
     biases = tuple(np.zeros(1, np.float32) for _ in zeros)
     return EnergyModel(tuple(zeros), biases, "silu", "tcp", use_width=False, bounded=True, threshold=1.0)
-
-
-def _energies(session: Session, problems: dict[str, RegraspProblem], samples: int) -> dict[str, EnergyModel]:
-    options = TrainingOptions(use_width=False, seed=session.seed)
-    requests = [TrainingRequest(problem, options, samples) for problem in problems.values()]
-    return dict(zip(problems, session.trained(requests), strict=True))
 
 
 def measure_transfer(
@@ -170,26 +166,30 @@ def _table(rows: list[Row], name: str, end_effectors: tuple[str, ...]) -> Table:
 
 def _blocks(rows: list[Row]) -> Table:
     """Return the means of the diagonal and of the blocks beside it, with the controls over the same cells."""
-    lines: list[tuple[Cell, ...]] = []
+    groups: dict[tuple[str, str], list[Row]] = {}
+    kind = {tool: name for name, tools in KINDS.items() for tool in tools}
     for name in dict.fromkeys(row["object"] for row in rows if "sv" in row):
         printed, cells = CROSS_EFFECTOR.get(PAPER_OBJECT.get(name, ""), {}), _cells(rows, name)
-        pairs = sorted(pair for pair in cells if pair[0] != CONSTANT)
-        blocks = {"same tool": [(a, b) for a, b in pairs if a == b]}
-        for trained, tested in itertools.product(KINDS, repeat=2):
-            inside = [(a, b) for a, b in pairs if a in KINDS[trained] and b in KINDS[tested] and a != b]
-            blocks[f"{trained} to {tested}"] = inside
-        for direction, chosen in blocks.items():
-            control = [cells.get((CONSTANT, tested), 0.0) for _, tested in chosen]
-            values = [cells[pair] for pair in chosen]
-            own = [cells.get((tested, tested), 0.0) for _, tested in chosen]
-            below = sum(value < least for value, least in zip(values, control, strict=True))
-            paper = [printed[a][b] for a, b in chosen if printed]
-            means = (mean(figures, 1) for figures in (control, values, own))
-            lines.append((name, direction, *means, min(values, default=None), below, len(chosen), mean(paper, 1)))
-    return Table(
+        directions = (f"{trained} to {tested}" for trained, tested in itertools.product(KINDS, repeat=2))
+        groups |= {(name, direction): [] for direction in ("same tool", *directions)}
+        for (trained, tested), sv in sorted(cells.items()):
+            if trained != CONSTANT:
+                direction = "same tool" if trained == tested else f"{kind[trained]} to {kind[tested]}"
+                others = {key: cells.get((tool, tested), 0.0) for key, tool in ((CONSTANT, CONSTANT), (OWN, tested))}
+                paper = printed[trained][tested] if printed else None
+                groups[name, direction].append({"trained": sv, **others, "paper": paper})
+    columns: dict[str, tables.Column] = {key: tables.average(key, 1) for key in ("constant", "trained", "own")}
+    columns |= {
+        "least cell": lambda here: min(tables.values(here, "trained"), default=None),
+        "below constant": tables.count(lambda row: row["trained"] < row["constant"]),
+        "cells": len,
+        "paper": tables.average("paper", 1),
+    }
+    return tables.summary(
         "Means of the blocks",
-        ("object", "trained to tested", *_BLOCK_COLUMNS),
-        tuple(lines),
+        ("object", "trained to tested"),
+        groups,
+        columns,
         "S.V. [%], means over the same cells: with the constant energy, with that of the trained tool, with the tested "
         "tool's own, and as printed in the paper for the same mesh. Below constant: cells where the trained energy is "
         "worse than the constant one. 'same tool' is the diagonal; the other blocks leave it out.",

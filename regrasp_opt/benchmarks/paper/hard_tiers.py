@@ -116,19 +116,15 @@ def hard_instances(session: Session, name: str, problem: RegraspProblem) -> list
     sizes = QUICK if session.quick else FULL
     found: dict[str, list[tuple[int, Condition, Instance]]] = {tier: [] for tier in TIERS}
     for number, condition in enumerate(conditions(session, problem, sizes)):
-        oracle = session.oracle(f"{name}, {condition.label}", condition.problem, condition.grid).with_grasps(
-            condition.ids
-        )
+        whole = session.oracle(f"{name}, {condition.label}", condition.problem, condition.grid)
+        oracle = whole.with_grasps(condition.ids)
         pool = session.pool(condition.problem).with_grasps(condition.ids)
         for tier, count in sizes.each.items():
             prefix = f"{name}/{condition.label}"
             chosen = choose_instances(pool, oracle, {tier: count}, session.rng(31, number), prefix)
             found[tier] += [(rank, condition, instance) for rank, instance in enumerate(chosen)]
-    instances = []
-    for tier, triples in found.items():
-        spread = sorted(triples, key=lambda triple: triple[0])[: sizes.most[tier]]
-        instances += [(condition, instance) for _, condition, instance in spread]
-    return instances
+    spread = {tier: sorted(triples, key=lambda triple: triple[0]) for tier, triples in found.items()}
+    return [triple[1:] for tier, triples in spread.items() for triple in triples[: sizes.most[tier]]]
 
 
 def run_hard_tiers(session: Session) -> Report:
@@ -153,13 +149,8 @@ def run_hard_tiers(session: Session) -> Report:
 
 def _table(rows: list[Row]) -> Table:
     measured = [row for row in rows if "solved" in row]
-    names = dict.fromkeys(row["object"] for row in measured)
-    groups = {
-        (name, tier): [row for row in measured if (row["object"], row["tier"]) == (name, tier)]
-        for name in names
-        for tier in TIERS
-    }
-
+    found = tables.grouped(measured, "object", "tier")
+    groups = {(n, tier): found.get((n, tier), []) for n in dict.fromkeys(n for n, _ in found) for tier in TIERS}
     columns = {
         "pairs": len,
         "solved [%]": tables.share("solved"),

@@ -6,7 +6,7 @@ from collections.abc import Hashable
 from dataclasses import replace
 
 from regrasp_opt.benchmarks.harness import tables
-from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
+from regrasp_opt.benchmarks.harness.instances import instances_hash
 from regrasp_opt.benchmarks.harness.planners import plan_row, solvable, solved_by_both
 from regrasp_opt.benchmarks.harness.report import Cell, Figure, Report, Table
 from regrasp_opt.benchmarks.harness.runner import Item, Row
@@ -43,8 +43,15 @@ def run_multi_step(session: Session) -> Report:
     def work(name: str, problem: RegraspProblem) -> tuple[list[Item], str]:
         oracle = session.oracle(name, problem)
         chosen = session.chosen(name, problem, oracle, {"any": PAIRS[session.quick]}, 20)
-        compared = chosen[: COMPARED[session.quick]]
-        items = [item for pair in chosen for item in _items(name, problem, pair, session.seed, pair in compared)]
+        paper, end = replace(problem, preset="paper"), (session.seed, TIME_LIMIT)
+        planners: list[tuple[str, int | None, RegraspProblem, Recipe]] = [("ours", None, problem, RECIPES["ipopt"]())]
+        planners += [("ours, threshold", k, problem, threshold_recipe(k)) for k in K_TOP]
+        compared = [("paper's method", k, paper, paper_recipe(k)) for k in K_TOP]
+        items = [
+            pair_item(name, used, pair, plan_row, recipe, *end, label=f"/{planner}/{k}", planner=planner, k_top=k)
+            for number, pair in enumerate(chosen)
+            for planner, k, used, recipe in planners + (compared if number < COMPARED[session.quick] else [])
+        ]
         return items, instances_hash(chosen)
 
     return run_experiment(
@@ -57,20 +64,6 @@ def run_multi_step(session: Session) -> Report:
         figures=_figures,
         settings={"oracle": str(session.grid), "time limit [s]": TIME_LIMIT},
     )
-
-
-def _items(name: str, problem: RegraspProblem, instance: Instance, seed: int, compare: bool) -> list[Item]:
-    paper = replace(problem, preset="paper")
-    work: list[tuple[str, int | None, RegraspProblem, Recipe]] = [("ours", None, problem, RECIPES["ipopt"]())]
-    work += [("ours, threshold", k, problem, threshold_recipe(k)) for k in K_TOP]
-    if compare:
-        work += [("paper's method", k, paper, paper_recipe(k)) for k in K_TOP]
-    return [
-        pair_item(
-            name, used, instance, plan_row, recipe, seed, TIME_LIMIT, label=f"/{planner}/{k}", planner=planner, k_top=k
-        )
-        for planner, k, used, recipe in work
-    ]
 
 
 def _ours(rows: list[Row], names: list[str]) -> dict[Hashable, list[Row]]:

@@ -16,7 +16,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from regrasp_opt.benchmarks.harness import tables
-from regrasp_opt.benchmarks.harness.generation import GENERATORS, OneStepTask, distinct, generate
+from regrasp_opt.benchmarks.harness.generation import GENERATORS, NO_GRASP, OneStepTask, distinct, generate
 from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
 from regrasp_opt.benchmarks.harness.oracle import Oracle
 from regrasp_opt.benchmarks.harness.report import Figure, Report, Table, percent
@@ -79,7 +79,13 @@ def _run(session: Session, *, unseen: bool) -> Report:
         truth[name] = oracle
         items: list[Item] = []
         for pair in chosen:
-            items += _items(name, problem, pair, oracle, session.seed, methods, pair is chosen[0])
+            pictured = pair is chosen[0]
+            known = _grid_rows(problem, pair, oracle, pictured)
+            items.append(pair_item(name, problem, pair, _as_they_are, known, label="/grid", method="grid"))
+            for method in methods:
+                tested = replace(problem, preset=METHODS[method][0])
+                arguments = measure_pair, method, session.seed, PER_PLACEMENT, pictured
+                items.append(pair_item(name, tested, pair, *arguments, label=f"/{method}", method=method))
         return items, instances_hash(chosen)
 
     return run_experiment(
@@ -100,26 +106,12 @@ def _with_unseen_grasps(problem: RegraspProblem) -> RegraspProblem:
     return RegraspProblem.load(problem.object, problem.workcell, grasps=unseen, model=problem.model_folder)
 
 
-def _items(
-    name: str,
-    problem: RegraspProblem,
-    instance: Instance,
-    oracle: Oracle,
-    seed: int,
-    methods: tuple[str, ...],
-    pictured: bool,
-) -> list[Item]:
-    """Return the work on one pair: what the grid says about it, and every method."""
-    start, goal = (problem.feasible_grasps(T) for T in (instance.start, instance.goal))
-    valid = oracle.one_step(start, goal)
+def _grid_rows(problem: RegraspProblem, instance: Instance, oracle: Oracle, pictured: bool) -> list[Row]:
+    """Return what the grid says about a pair: the share of its poses that are valid, and some of these."""
+    valid = oracle.one_step(*(problem.feasible_grasps(T) for T in instance.ends))
     shown = np.flatnonzero(valid & pictured)[:: max(1, int(valid.sum()) // PICTURED_POSES)]
     poses = _pose_rows(oracle.placements[shown], oracle.xi[shown], valid[shown])
-    grid_rows: list[Row] = [{"share": float(valid.mean())}, *poses]
-    items = [pair_item(name, problem, instance, _as_they_are, grid_rows, label="/grid", method="grid")]
-    for method in methods:
-        tested, arguments = replace(problem, preset=METHODS[method][0]), (method, seed, PER_PLACEMENT, pictured)
-        items.append(pair_item(name, tested, instance, measure_pair, *arguments, label=f"/{method}", method=method))
-    return items
+    return [{"share": float(valid.mean())}, *poses]
 
 
 def _as_they_are(problem: RegraspProblem, instance: Instance, rows: list[Row]) -> list[Row]:
@@ -131,19 +123,13 @@ def measure_pair(
 ) -> list[Row]:
     """Return one row for each K_top: S.V., distinct poses among the K_top, and the time of the generation.
 
-    Parameters
-    ----------
-    method : str
-        One of `METHODS`.
-    starts : int
-        Start points for each placement.
-    pictured : bool
-        Return a row for each of the cheapest poses as well.
+    The `method` of `METHODS` has as many `starts` for each placement; `pictured` asks for a row for each of the
+    cheapest poses as well.
     """
     problem = resident(problem)
     task = OneStepTask(problem, problem.energy, instance.ends)
     if not task.possible:
-        return [{"skipped": "no grasp of this set is feasible at one of the ends"}]
+        return [{"skipped": NO_GRASP}]
     _, name, variant = METHODS[method]
     generator = GENERATORS[name]
     options = CostOptions(variant=variant, h=problem.energy.model.threshold)
@@ -174,13 +160,11 @@ def _table(rows: list[Row], unseen: bool) -> Table:
     methods = UNSEEN_METHODS if unseen else tuple(METHODS)
     paper_columns = ("paper Usn",) if unseen else ("paper J", "paper J+", "paper J^h")
     lines = []
-    for name in dict.fromkeys(row["object"] for row in measured):
-        for k in K_TOP:
-            here = [row for row in measured if row["object"] == name and row["k_top"] == k and row["pair"] in solvable]
-            printed = ONE_STEP[PAPER_OBJECT[name]][k] if name in PAPER_OBJECT else None
-            paper = (None,) * len(paper_columns) if printed is None else printed[3:] if unseen else printed[:3]
-            ours = [percent([row["sv"] for row in here if row["method"] == method]) for method in methods]
-            lines.append((name, k, *ours, *paper))
+    for (name, k), here in tables.grouped(measured, "object", "k_top").items():
+        counted = [row for row in here if row["pair"] in solvable]
+        ours = [percent([row["sv"] for row in counted if row["method"] == method]) for method in methods]
+        printed = ONE_STEP.get(PAPER_OBJECT.get(name, ""), {}).get(k, (None,) * 4)
+        lines.append((name, k, *ours, *(printed[3:] if unseen else printed[:3])))
     return Table(
         "S.V. on unseen grasps [%]" if unseen else "S.V. by cost and generator [%]",
         ("object", "K_top", *methods, *paper_columns),
@@ -198,10 +182,8 @@ def _truth_table(truth: dict[str, Oracle], rows: list[Row]) -> Table:
     def least(here: list[Row]) -> float | None:
         return percent(sorted(tables.values(here, "share"))[:1])
 
-    groups = {
-        (name, *oracle.feasible.shape): [{"grid": oracle.seconds}, *here]
-        for (name, oracle), here in zip(truth.items(), tables.by_object(rows, truth).values(), strict=True)
-    }
+    by_name = tables.by_object(rows, truth)
+    groups = {(n, *o.feasible.shape): [{"grid": o.seconds}, *by_name[n]] for n, o in truth.items()}
     columns: dict[str, tables.Column] = {
         "pairs": tables.count(lambda row: "share" in row),
         "solvable": tables.count(lambda row: row.get("share", 0) > 0),
