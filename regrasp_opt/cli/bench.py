@@ -46,12 +46,8 @@ EXPERIMENTS: dict[str, Callable[[Session], Report]] = {
 def run_bench(name: str, session: Session, dask: str | None, *, as_json: bool) -> int:
     """Run one experiment, write its files below the session's folder and print its page; return 0.
 
-    Workers are those of the Dask scheduler at the address `dask`, if it is given.
-
-    Raises
-    ------
-    RegraspError
-        For an unknown experiment, a folder without meshes, or a scheduler that does not answer.
+    Workers are those of the Dask scheduler at the address `dask`, if it is given. Raises a `RegraspError` for an
+    unknown experiment, a folder without meshes, or a scheduler that does not answer.
     """
     if name not in EXPERIMENTS:
         raise UnknownNameError("experiment", name, EXPERIMENTS)

@@ -50,13 +50,8 @@ def cost_of_scores(scores: Sequence[Any], lambda_reg: float) -> Any:
 class Chain:
     """A chain of M poses with its M-1 pair scores and ``J_seq``, and their derivatives.
 
-    Parameters
-    ----------
-    poses : sequence of PoseEnergy
-        Their k_0, ..., k_{M-1} parameters, one pose after the other, are the n variables.
-    options : CostOptions
-    penalty : expression (G, 1)
-        Added to the energy of every pair.
+    The k_0, ..., k_{M-1} parameters of the `poses`, one pose after the other, are the n variables. The `penalty` (G, 1)
+    is added to the energy of every pair.
     """
 
     def __init__(self, poses: Sequence[PoseEnergy], options: CostOptions, penalty: Any = 0) -> None:

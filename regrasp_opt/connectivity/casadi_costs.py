@@ -41,16 +41,10 @@ INPUT: Literal["input"] = "input"
 class ChainEnds:
     """What a chain is made of besides its moving poses.
 
-    Attributes
-    ----------
-    start, goal : (G,) energies, "input", or None
-        None: the chain begins, or ends, with a moving pose.
-    mask : "input" or None
-        "input": the functions take a mask (G, 1), 1 for grasps that may be used and 0 for others.
-    grasp_ids : (A,), optional
-        The grasps that pairs are scored by; all by default.
-    blocked : (M, G) bool, optional
-        Grasps known to be infeasible at each moving pose: their energy there is `BLOCKED`.
+    `start` and `goal` are (G,) energies, "input", or None: then the chain begins, or ends, with a moving pose. With a
+    `mask` of "input" the functions take a mask (G, 1), 1 for grasps that may be used and 0 for others. Pairs are scored
+    by the grasps `grasp_ids` (A,), by default all. `blocked` (M, G) are the grasps known to be infeasible at each
+    moving pose: their energy there is `BLOCKED`.
     """
 
     start: Any = None

@@ -127,10 +127,7 @@ class ProblemEnergy(GraspEnergy):
     def placement_numbers(self, placements: Any) -> IntArray:
         """Return `placements` as an array (N,) of numbers of stable placements.
 
-        Raises
-        ------
-        OptionError
-            If one of them does not exist.
+        An `OptionError` says if one of them does not exist.
         """
         numbers = np.asarray(placements).reshape(-1)
         if numbers.size == 0:

@@ -26,12 +26,8 @@ _AT_ONCE = 100
 class TableRule:
     """Grasps that put part of the gripper or of the wrist into the table, wherever the object lies on a placement.
 
-    Attributes
-    ----------
-    point : (S, G, 2)
-        A point of such a part at xi = 0, seen from above [m]; NaN where there is none.
-    table : (2, 2) or (S, 2, 2)
-        ``[[x_low, y_low], [x_high, y_high]]`` of the top of what each placement is on, in its plane [m].
+    `point` (S, G, 2) is a point of such a part at xi = 0, seen from above [m], NaN where there is none; `table` (2, 2)
+    or (S, 2, 2) is ``[[x_low, y_low], [x_high, y_high]]`` of the top of what each placement is on, in its plane [m].
     """
 
     point: FloatArray

@@ -59,10 +59,7 @@ def reliability_curve(probability: FloatArray, positive: BoolArray, bins: int = 
 def best_threshold(energy: FloatArray, positive: BoolArray) -> BestThreshold:
     """Return the threshold on `energy` (M,) that classifies `positive` (M,) with the highest F1.
 
-    Raises
-    ------
-    ModelError
-        If nothing is positive.
+    Raises a `ModelError` if nothing is positive.
     """
     order = np.argsort(energy, kind="stable")
     hits = np.cumsum(positive[order])
@@ -86,8 +83,6 @@ class HeldOut(NamedTuple):
 def calibrate(model: EnergyModel, objects: Sequence[HeldOut], seed: int = 0) -> EnergyModel:
     """Return `model` with `h` set and its metrics on held-out poses of one or more objects recorded.
 
-    Notes
-    -----
     `h` maximises F1 of telling shared from other grasps over random pairs of the held-out poses (appendix A).
     """
     rng = np.random.default_rng(seed)

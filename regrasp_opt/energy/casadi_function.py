@@ -30,16 +30,10 @@ _ONLY_JACOBIAN: dict[str, Any] = {**_CALLED, "jac_penalty": 0, "enable_forward":
 def by_jacobian(
     name: str, inputs: Blocks, output: str, value: Any, jacobian: Blocks, second: Mapping[tuple[str, str], Any]
 ) -> Any:
-    """Return the `casadi.Function` of `inputs` to `value` (M numbers) with two derivatives.
+    """Return the `casadi.Function` of `inputs`, symbols by name, to `value` (M numbers) with two derivatives.
 
-    Parameters
-    ----------
-    inputs : mapping
-        Input name -> symbol.
-    jacobian : mapping
-        Input name -> (M, numel of the input).
-    second : mapping
-        Two input names -> derivative of the stacked columns of the first one's Jacobian in the second one.
+    `jacobian` has (M, numel of the input) by input name, `second`, by two input names, the derivative of the stacked
+    columns of the first one's Jacobian in the second one.
     """
     rows, empty = _jacobian_blocks(inputs, output, value, jacobian), _no_numbers(value)
     columns = {**inputs, f"out_{output}": empty}
@@ -63,16 +57,9 @@ def by_adjoint(
 ) -> Any:
     """Return the `casadi.Function` of `inputs` to `value` (M numbers) with its adjoint and its Jacobian.
 
-    Parameters
-    ----------
-    inputs, jacobian
-        Same as in `by_jacobian`.
-    seed : symbol
-        Of the shape of `value`, the adjoint's last argument.
-    adjoint : mapping
-        Input name -> ``jacobian.T @ seed`` in the input's shape.
-    second : mapping
-        Input name -> derivative of its adjoint in itself at a fixed seed; mixed ones are taken to be zero.
+    `inputs` and `jacobian` are as in `by_jacobian`; `seed`, a symbol of the shape of `value`, is the adjoint's last
+    argument. `adjoint` has ``jacobian.T @ seed`` in the input's shape by input name, `second` the derivative of that in
+    the input itself at a fixed seed; mixed ones are taken to be zero.
     """
     empty, seeded = _no_numbers(value), f"adj_{output}"
     symbols, names = [*inputs.values(), empty], [*inputs, f"out_{output}"]

@@ -55,13 +55,7 @@ def export_c(energy: GraspEnergy, path: str | os.PathLike[str]) -> None:
 
 
 def export_onnx(energy: GraspEnergy, path: str | os.PathLike[str]) -> None:
-    """Write an ONNX graph.
-
-    Raises
-    ------
-    ModelError
-        If the package ``onnx`` is not installed.
-    """
+    """Write an ONNX graph; a `ModelError` says if the package ``onnx`` is not installed."""
     try:
         from onnx import TensorProto, checker, helper, numpy_helper
     except ImportError as error:

@@ -35,14 +35,8 @@ FEATURE_SETS: tuple[FeatureSet, ...] = tuple(BLOCKS)
 class InputWeights(NamedTuple):
     """The columns of a first layer of H units by what they weigh; zeros for what the model does not see.
 
-    Attributes
-    ----------
-    pose, tcp : (3, H, 4)
-        Weights of the three upper rows of the object pose ``T`` and of the tool pose ``T @ g``.
-    grasp : (H, 12)
-        Weights of the upper rows of the grasp ``g``, row by row.
-    width : (H,)
-        Weights of the jaw width.
+    `pose` and `tcp` (3, H, 4) weigh the three upper rows of the object pose ``T`` and of the tool pose ``T @ g``,
+    `grasp` (H, 12) the upper rows of the grasp ``g``, row by row, `width` (H,) the jaw width.
     """
 
     pose: FloatArray

@@ -31,16 +31,10 @@ _CHUNK_ELEMENTS = 1 << 21
 class EnergyModel:
     """A trained energy.
 
-    Attributes
-    ----------
-    weights, biases : tuple of arrays
-        Layer l maps with ``weights[l]`` (out, in) and ``biases[l]`` (out,); the last layer has one output.
-    activation, features, use_width, bounded
-        What the network is; see `regrasp_opt.energy.features` and the module docstring.
-    threshold : float
-        `h` of Eq. 3, calibrated on shared grasps (appendix A): those whose energies sum to at most `h`.
-    metadata : dict
-        Provenance and held-out metrics, JSON-serialisable.
+    Layer l maps with ``weights[l]`` (out, in) and ``biases[l]`` (out,); the last layer has one output. `activation`,
+    `features`, `use_width` and `bounded` say what the network is; see `regrasp_opt.energy.features` and the module
+    docstring. `threshold` is `h` of Eq. 3, calibrated on shared grasps (appendix A): those whose energies sum to at
+    most `h`. `metadata` holds provenance and held-out metrics, JSON-serialisable.
     """
 
     weights: tuple[NDArray[np.float32], ...]
@@ -85,12 +79,8 @@ class EnergyModel:
 class FirstLayer(NamedTuple):
     """The first layer for one grasp set, affine in the pose: ``z = constant + sum_i (pose[i] + tcp[i] @ g) @ T[i]``.
 
-    Attributes
-    ----------
-    pose, tcp : (3, H, 4)
-        Weights of the three rows of the object pose and of the tool pose, as in `InputWeights`.
-    constant : (H, G)
-        What the grasp alone contributes, bias included.
+    `pose` and `tcp` (3, H, 4) are as in `InputWeights`; `constant` (H, G) is what the grasp alone contributes, bias
+    included.
     """
 
     pose: FloatArray
@@ -114,11 +104,7 @@ class PlanarLayer(NamedTuple):
 class GraspEnergy:
     """An `EnergyModel` bound to the G grasps of one grasp set; what plans are made with.
 
-    Parameters
-    ----------
-    model : EnergyModel
-    grasps : GraspSet
-        The candidate grasps over which connectivity is marginalised; they need not be those of the training.
+    Connectivity is marginalised over these grasps; they need not be those of the training.
     """
 
     def __init__(self, model: EnergyModel, grasps: GraspSet) -> None:

@@ -29,12 +29,8 @@ class Backend(Protocol):
 def evaluate(backend: Backend, layers: Iterable[tuple[Any, Any]], activation: Activation, bounded: bool, z: Any) -> Any:
     """Return the energy where the first layer's pre-activation is `z`.
 
-    Parameters
-    ----------
-    layers : iterable of (W, b)
-        The layers after the first, weights (out, in) and biases (out,).
-    bounded : bool
-        Whether the energy is ``softplus(f)`` of the network's output ``f``, or ``f`` itself.
+    `layers` (W, b) are those after the first, weights (out, in) and biases (out,). A `bounded` energy is
+    ``softplus(f)`` of the network's output ``f``, another one ``f`` itself.
     """
     for W, b in layers:
         z = backend.affine(backend.activate(activation, z), W, b)

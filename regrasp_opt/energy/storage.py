@@ -41,10 +41,7 @@ def save_energy(model: EnergyModel, path: str | os.PathLike[str]) -> None:
 def load_energy(path: str | os.PathLike[str]) -> EnergyModel:
     """Read an energy that `save_energy` wrote.
 
-    Raises
-    ------
-    ModelError
-        If the file is missing, empty, corrupt or of another format.
+    Raises a `ModelError` if the file is missing, empty, corrupt or of another format.
     """
     path = Path(path)
     if not os.path.isfile(path):

@@ -35,22 +35,9 @@ LABEL_NOISE = 1e-5
 class TrainingOptions:
     """What is trained, and how; the defaults are ours, `PRESETS["paper"]` is the paper's.
 
-    Attributes
-    ----------
-    hidden : int
-        Width of the two hidden layers.
-    activation, features, bounded
-        See `regrasp_opt.energy`.
-    use_width : bool
-        Whether the jaw width is an input; the paper leaves it out to compare end-effectors.
-    loss : {"likelihood", "paper"}
-    alpha_reg : float
-        Weight of the paper's penalty on large energies.
-    epochs, batch_size, learning_rate, weight_decay
-        AdamW with a one-cycle schedule.
-    seed : int
-    device : str
-        torch device; ``"auto"`` takes a GPU where there is one.
+    Both hidden layers are `hidden` wide. For `activation`, `features` and `bounded` see `regrasp_opt.energy`; the paper
+    leaves out the jaw width (`use_width`) to compare end-effectors. `alpha_reg` weighs the paper's penalty on large
+    energies. AdamW with a one-cycle schedule runs on the torch `device`; ``"auto"`` takes a GPU where there is one.
     """
 
     hidden: int = 64
@@ -98,10 +85,7 @@ def train(
 ) -> EnergyModel:
     """Train an energy on `features` (M, F) and labels `feasible` (M,); its threshold is not calibrated yet.
 
-    Parameters
-    ----------
-    progress : callable, optional
-        Called with (epochs done, epochs in all).
+    `progress` is called with (epochs done, epochs in all).
 
     Raises
     ------

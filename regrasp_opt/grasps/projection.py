@@ -29,13 +29,7 @@ LOOSE = 0.3
 
 
 class GraspProjector:
-    """Puts tool poses on one object with one end-effector.
-
-    Parameters
-    ----------
-    model : ObjectModel
-    end_effector : EndEffector
-    """
+    """Puts tool poses on one object with one end-effector."""
 
     def __init__(self, model: ObjectModel, end_effector: EndEffector) -> None:
         self._surface = make_surface(model.mesh)
@@ -63,10 +57,7 @@ class GraspProjector:
     def settle(self, T_object_tcp: FloatArray, grade: int = 0) -> tuple[GraspSet, IntArray]:
         """Return the grasps that tool poses (B, 4, 4) settle in, and which pose each came from (K,).
 
-        Parameters
-        ----------
-        grade : int
-            Worst grade of seal that is accepted, same as in `regrasp_opt.grasps.suction`; parallel grasps have none.
+        Seals of suction grasps are accepted up to `grade`, as in `regrasp_opt.grasps.suction`.
         """
         T = np.array(T_object_tcp, dtype=np.float64).reshape(-1, 4, 4)
         settled, width, source = self._gripped(T) if self._effector.kind == "parallel" else self._sealed(T, grade)

@@ -79,16 +79,8 @@ def seal_grades(
 ) -> tuple[FloatArray, IntArray]:
     """Return the approach against the mean normal under the cup (N, 3), and the grade of the seal (N,).
 
-    Parameters
-    ----------
-    surface : TriangleSurface
-        The object's surface [m].
-    centers : FloatArray
-        Points on it (N, 3) [m].
-    approach : FloatArray
-        Unit vectors (N, 3) into the surface, the first guess of the approach.
-    radius : float
-        Radius of the cup's rim [m].
+    `centers` (N, 3) [m] lie on the surface, the unit vectors `approach` (N, 3) into it are the first guess of the
+    approach, and `radius` is that of the cup's rim [m].
     """
     first = _probe(surface, centers, approach, radius, FIRST_RINGS)
     left = np.flatnonzero((first.depth < PROBED_DEPTH * radius) & (first.angle < np.pi / 2))

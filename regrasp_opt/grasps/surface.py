@@ -25,12 +25,9 @@ ROUNDING = 1e-9
 class BoxTree(NamedTuple):
     """Boxes around a surface, halved again and again: what lets a ray skip most triangles.
 
-    Attributes
-    ----------
-    levels : tuple of (centers, halves)
-        Boxes of each level, (2**k, 3) each [m]; box i has the boxes 2 i and 2 i + 1 of the next level inside.
-    leaves : IntArray
-        Triangles in each box of the last level (2**K, LEAF), filled up with numbers from F on.
+    `levels` are the centers and halves of the boxes of each level, (2**k, 3) each [m]; box i has the boxes 2 i and 2 i
+    + 1 of the next level inside. `leaves` (2**K, LEAF) are the triangles in each box of the last level, filled up with
+    numbers from F on.
     """
 
     levels: tuple[tuple[FloatArray, FloatArray], ...]
@@ -40,20 +37,9 @@ class BoxTree(NamedTuple):
 class TriangleSurface(NamedTuple):
     """A triangle mesh, ready for sampling and ray casting.
 
-    Attributes
-    ----------
-    triangles : FloatArray
-        Corners (F, 3, 3) [m].
-    normals : FloatArray
-        Unit outward normals (F, 3).
-    areas : FloatArray
-        Areas (F,) [m^2].
-    creases : FloatArray
-        Ends (C, 2, 3) of the edges at which the surface bends by more than `CREASE_ANGLE` [m].
-    crease_angles : FloatArray
-        How much it bends there (C,) [rad].
-    tree : BoxTree
-        Boxes around its triangles.
+    `triangles` (F, 3, 3) are corners [m], `normals` (F, 3) unit outward normals, `areas` (F,) [m^2], `creases` (C, 2,
+    3) the ends of the edges [m] at which the surface bends by more than `CREASE_ANGLE`, by `crease_angles` (C,) [rad],
+    and `tree` boxes around the triangles.
     """
 
     triangles: FloatArray

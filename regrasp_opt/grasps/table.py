@@ -23,15 +23,9 @@ ROUNDING = 1e-6
 class TableRoom(NamedTuple):
     """What is known of an object's placements and of an end-effector's corners.
 
-    Attributes
-    ----------
-    up : FloatArray
-        The vertical in the object frame, by placement (S, 3).
-    level : FloatArray
-        Height of the object's origin above what must stay free (S,) [m].
-    parts : tuple of (side, corners)
-        Corners (P, 3) of what moves together, in the frame of the TCP, and on which side of it: 1 and -1 for fingers,
-        which are half the jaw width farther along y, 0 for the body.
+    By placement, `up` (S, 3) is the vertical in the object frame and `level` (S,) the height of the object's origin
+    above what must stay free [m]. `parts` are the corners (P, 3) of what moves together, in the frame of the TCP, and
+    on which side of it: 1 and -1 for fingers, which are half the jaw width farther along y, 0 for the body.
     """
 
     up: FloatArray

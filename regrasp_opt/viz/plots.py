@@ -25,13 +25,7 @@ START, HERE, GOAL = "#0072b2", "#d55e00", "#009e73"
 
 
 def pyplot() -> Any:
-    """Return matplotlib's pyplot.
-
-    Raises
-    ------
-    OptionError
-        If matplotlib is not installed.
-    """
+    """Return matplotlib's pyplot; an `OptionError` says if matplotlib is not installed."""
     try:
         import matplotlib.pyplot as plt
     except ImportError as error:
@@ -42,10 +36,7 @@ def pyplot() -> Any:
 def write_plan_plots(plan: RegraspPlan, trace: CandidateTrace | None, folder: Path) -> list[Path]:
     """Write the cost over the table for each intermediate pose, over all lattice poses, and by iteration.
 
-    Raises
-    ------
-    OptionError
-        If matplotlib or the energy is missing, or the plan has no intermediate pose.
+    Raises an `OptionError` if matplotlib or the energy is missing, or the plan has no intermediate pose.
     """
     if not has_energy(plan):
         raise OptionError("the plots show the cost, which needs an energy; run 'regrasp-opt prepare WORKCELL' first")

@@ -125,12 +125,8 @@ def fresh_process_row(path: Path, pair: Instance) -> Row:
 def mesh_rows(path: Path, sizes: AnySizes, session: Session, *, fresh_process: bool = False) -> list[Row]:
     """Return a row about the first plan of a mesh file in this warm process, and one for each pair and planner.
 
-    With `fresh_process` there is one about the same plan as a process of its own, too.
-
-    Raises
-    ------
-    RegraspError
-        If the mesh cannot be read, or there is no pair of poses to plan for.
+    With `fresh_process` there is one about the same plan as a process of its own, too. Raises a `RegraspError` if the
+    mesh cannot be read, or there is no pair of poses to plan for.
     """
     drawn = RegraspProblem.load(path, DEFAULT_WORKCELL)
     pairs, share = solvable_pairs(drawn, sizes.pairs, sizes.truth, sizes.pool, session, path.stem)

@@ -48,10 +48,7 @@ def trained_energies(
 ) -> list[EnergyModel]:
     """Return the energies of `requests`; those not trained before are labelled in turn, then trained in parallel.
 
-    Raises
-    ------
-    RegraspError
-        If no grasp of a problem is feasible, or its labels cannot train an energy.
+    Raises a `RegraspError` if no grasp of a problem is feasible, or its labels cannot train an energy.
     """
     unique = {request.path: request for request in requests}
 

@@ -57,10 +57,7 @@ def resumed(
 def dask_cluster(address: str | None) -> Iterator[None]:
     """Let joblib use the Dask cluster at `address` inside the block; with None, its own processes.
 
-    Raises
-    ------
-    OptionError
-        If Dask is not installed or nothing answers at `address`.
+    Raises an `OptionError` if Dask is not installed or nothing answers at `address`.
     """
     if address is None:
         yield

@@ -59,13 +59,8 @@ class Results:
 def run_items(items: Sequence[Item], folder: Path, *, jobs: int = -1, quiet: bool = False) -> Results:
     """Compute the rows of `items`, except where `folder` holds them already, by `jobs` workers, as joblib counts them.
 
-    An item that raises a `RegraspError` becomes one row with its message in the column ``error``; it is tried again
-    in the next run.
-
-    Raises
-    ------
-    OptionError
-        If two items have the same key.
+    An item that raises a `RegraspError` becomes one row with its message in the column ``error``; it is tried again in
+    the next run. Two items of the same key are an `OptionError`.
     """
     if len({item.key for item in items}) < len(items):
         raise OptionError("two items of the benchmark have the same key; give each its own")

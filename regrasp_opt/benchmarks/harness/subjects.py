@@ -28,10 +28,7 @@ _residents: dict[str, RegraspProblem] = {}
 def mesh_files(folder: Path, pattern: str = "*") -> list[Path]:
     """Return the mesh files in `folder`, by name; with the pattern ``**/*`` those in folders below it too.
 
-    Raises
-    ------
-    OptionError
-        If there is none.
+    Raises an `OptionError` if there is none.
     """
     if not os.path.isdir(folder):
         raise OptionError(f"'{folder}' is not a folder; give one with {', '.join(MESH_SUFFIXES)} files")
@@ -46,10 +43,7 @@ def prepared_problem(
 ) -> RegraspProblem:
     """Return the problem of `model` in `cell`; its model is prepared where there is none, or a broken one.
 
-    Raises
-    ------
-    RegraspError
-        If it cannot be prepared.
+    Raises a `RegraspError` if it cannot be prepared.
     """
     try:
         if find_model(model, cell) is not None:

@@ -22,16 +22,9 @@ CANDIDATES = 2000
 
 
 class GraspPool:
-    """The grasps of `problem`, and behind them those that were added.
+    """The grasps of `problem`, of which there are `sampled`, and behind them those that were added.
 
-    Attributes
-    ----------
-    T : list of (4, 4) arrays
-        T_object_tcp.
-    width : list of float
-        [m]
-    sampled : int
-        How many grasps `problem` has.
+    `T` is a list of T_object_tcp (4, 4), `width` one of jaw widths [m].
     """
 
     def __init__(self, problem: RegraspProblem, ends: FloatArray, rng: np.random.Generator) -> None:

@@ -71,14 +71,8 @@ class FreeGraspProgram:
     ) -> ChainSolve:
         """Solve from `start`.
 
-        Parameters
-        ----------
-        placements : PlanarPoses
-            N of them.
-        ends : (2, 4, 4)
-            Start and goal.
-        T_object_tcp, width : (N+1, 4, 4), (N+1,)
-            The grasps that the steps begin at.
+        `placements` are those of the N intermediate poses, `ends` (2, 4, 4) start and goal, `T_object_tcp` (N+1, 4, 4)
+        and `width` (N+1,) the grasps that the steps begin at.
         """
         transforms = np.concatenate([placements.surfaces, placements.bases, ends, T_object_tcp])
         p = np.concatenate([transforms.transpose(0, 2, 1).ravel(), width])

@@ -44,16 +44,9 @@ class Capsule(NamedTuple):
 class Rows(NamedTuple):
     """Distances less the clearance they need, as a function, and what each row is.
 
-    Attributes
-    ----------
-    function : casadi.Function
-        Gives a column of M distances [m].
-    names : tuple of str
-        The two bodies of each row.
-    measured : (M,) bool
-        Which rows count for the least clearance of a plan; the others are self-collision.
-    required : (M,)
-        The clearance that was taken off each row [m].
+    `function` gives a column of M distances [m], `names` are the two bodies of each row, `measured` (M,) says which
+    rows count for the least clearance of a plan (the others are self-collision), `required` (M,) is the clearance that
+    was taken off each row [m].
     """
 
     function: Any

@@ -25,12 +25,8 @@ from regrasp_opt.solvers.base import wrap_yaw
 class JointChoice:
     """One grasp for each of the N+1 transitions and its configurations.
 
-    Attributes
-    ----------
-    grasp_ids : (N+1,)
-        Numbers into ``problem.grasps``.
-    q : (N+1, 2, dof)
-        Configurations at pick and place [rad, m].
+    `grasp_ids` (N+1,) are numbers into ``problem.grasps``, `q` (N+1, 2, dof) the configurations at pick and place
+    [rad, m].
     """
 
     grasp_ids: IntArray
@@ -54,19 +50,10 @@ def first_choice(plan: RegraspPlan) -> JointChoice:
 class CandidateCheck:
     """Measures and verifies candidates with as many poses as `plan` has, on the same placements.
 
-    Attributes
-    ----------
-    home : (dof,) or None
-        Where the arm starts and ends.
-    before : JointMeasures
-        Of the first choice of `plan`.
-    bounds : MeasureBounds
-        What candidates keep to: those that are given, and what is `held` no worse than before.
-    J_seq : casadi.Function or None
-        The cost as a function of ``xi`` (N, 3); None where there is no energy, and the cost is always that of
-        the plan.
-    refused : str
-        What was in the way last.
+    `before` are the measures of the first choice of `plan`, `bounds` what candidates keep to: those that are given, and
+    what is `held` no worse than before. The arm starts and ends at `home` (dof,), if that is given. `J_seq` is the cost
+    as a `casadi.Function` of ``xi`` (N, 3); it is None where there is no energy, and the cost is always that of the
+    plan. `refused` says what was in the way last.
     """
 
     def __init__(

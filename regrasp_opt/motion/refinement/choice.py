@@ -55,19 +55,10 @@ def best_choices(
 ) -> list[JointChoice]:
     """Return up to `count` choices through the `layers` (pick, place) of all transitions, the best first.
 
-    Those after the first do without one of its grasps each, in the order of their travel.
-
-    Parameters
-    ----------
-    minimise : Measure
-        ``travel`` is minimised; of ``clearance`` and ``manipulability`` the least one is maximised, and travel decides
-        between equals.
-    bounds : MeasureBounds
-        States have at least this clearance and manipulability; bounds on travel and cost are not looked at.
-    home : (dof,), optional
-        Where the arm starts and ends.
-    near : callable
-        `Robot.nearest_equivalent`, where joints may turn by whole turns.
+    Those after the first do without one of its grasps each, in the order of their travel. ``travel`` is minimised; of
+    ``clearance`` and ``manipulability`` the least one is maximised, and travel decides between equals. States have at
+    least the clearance and manipulability of `bounds`; its travel and cost are not looked at. The arm starts and ends
+    at `home` (dof,). `near` is `Robot.nearest_equivalent`, where joints may turn by whole turns.
     """
     layers = _kept(_kept(layers, "clearance", bounds.clearance), "manipulability", bounds.manipulability)
     best = _best(layers, minimise, home, near)

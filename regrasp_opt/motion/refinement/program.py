@@ -48,16 +48,9 @@ SMOOTHING = 1e-4
 class JointFunctions(NamedTuple):
     """What all programs of one problem share, as `casadi.Function`.
 
-    Attributes
-    ----------
-    residual : casadi.Function
-        Kinematic residual (6, 1) of ``q`` (dof,) and the flange wanted, ``T`` (4, 4) T_world_flange.
-    manipulability : casadi.Function
-        Of ``q``.
-    clearances : Rows
-        Of arm and gripper at ``q`` with the object at ``T``.
-    object_clearances : Rows
-        Of the object at ``T``.
+    `residual` is the kinematic residual (6, 1) of ``q`` (dof,) and the flange wanted, ``T`` (4, 4) T_world_flange,
+    `manipulability` a function of ``q``. `clearances` are those of arm and gripper at ``q`` with the object at ``T``,
+    `object_clearances` those of the object at ``T``.
     """
 
     residual: Any
@@ -84,17 +77,9 @@ def joint_functions(problem: RegraspProblem) -> JointFunctions:
 
 
 class JointSolve(NamedTuple):
-    """What a solver left.
+    """What a solver left: `xi` (N, 3), `q` (N+1, 2, dof), its word for how it ended, and its iterations.
 
-    Attributes
-    ----------
-    xi : (N, 3)
-    q : (N+1, 2, dof)
-    status : str
-        The solver's word for how it ended.
-    violation : str
-        Which constraint is violated most and by how much; empty where all hold to `FEASIBLE`.
-    iterations : int
+    `violation` says which constraint is violated most and by how much; it is empty where all hold to `FEASIBLE`.
     """
 
     xi: FloatArray
@@ -115,15 +100,7 @@ OPTIONS = ProgramOptions(
 class JointProgram:
     """One program, from poses at `xi` (N, 3) and a choice of grasps whose configurations satisfy the kinematics.
 
-    Parameters
-    ----------
-    check : CandidateCheck
-        What candidates keep to, by exact measures.
-    minimise : Measure
-    cost_weight : float
-        Weight of ``J_seq`` in the objective.
-    xi : (N, 3)
-    choice : JointChoice
+    Candidates keep to what `check` says, by exact measures; `cost_weight` is the weight of ``J_seq`` in the objective.
     """
 
     def __init__(
@@ -152,13 +129,7 @@ class JointProgram:
         self._add_totals()
 
     def solve(self, ipopt: dict[str, Any]) -> JointSolve:
-        """Return where Ipopt ends, with `ipopt` options over ours.
-
-        Raises
-        ------
-        OptionError
-            If Ipopt refuses an option.
-        """
+        """Return where Ipopt ends, with `ipopt` options over ours; an `OptionError` says which it refuses."""
         solver = self._nlp.solver(replace(OPTIONS, ipopt=(*OPTIONS.ipopt, *ipopt.items())))
         solution = solver.solve(**self._nlp.arguments)
         found, violation = self._nlp.unpack(solution.x), self._nlp.worst_violation(solution.g, FEASIBLE)

@@ -66,14 +66,8 @@ class SearchOptions:
 class JointSearch:
     """One search for candidates of `check` that are better in a measure.
 
-    Attributes
-    ----------
-    discrete : JointMeasures or None
-        Of the best choice at the plan's own poses.
-    failure : str
-        Why no program could be solved and verified; empty where one was.
-    stats : list of dict
-        One entry for each solve.
+    `discrete` are the measures of the best choice at the plan's own poses, `failure` says why no program could be
+    solved and verified, and is empty where one was; `stats` has one entry for each solve.
     """
 
     def __init__(self, check: CandidateCheck, minimise: Measure, options: SearchOptions) -> None:
