@@ -14,15 +14,15 @@ from regrasp_opt.benchmarks.comparisons.joint import run_joint
 from regrasp_opt.benchmarks.comparisons.motion import run_motion
 from regrasp_opt.benchmarks.comparisons.refiners import run_refiners
 from regrasp_opt.benchmarks.comparisons.speed import run_speed
-from regrasp_opt.benchmarks.harness.parallel import dask_cluster
 from regrasp_opt.benchmarks.harness.report import Report, write_document, write_report
+from regrasp_opt.benchmarks.harness.runner import dask_cluster
 from regrasp_opt.benchmarks.harness.session import Session
 from regrasp_opt.benchmarks.paper.cost_sweep import run_cost_sweep
 from regrasp_opt.benchmarks.paper.cross_effector import run_cross_effector
 from regrasp_opt.benchmarks.paper.hard_tiers import run_hard_tiers
 from regrasp_opt.benchmarks.paper.multi_step import run_multi_step
 from regrasp_opt.benchmarks.paper.one_step import run_one_step, run_unseen
-from regrasp_opt.cli.output import make_console
+from regrasp_opt.cli.output import make_console, say_written
 from regrasp_opt.errors import UnknownNameError
 
 EXPERIMENTS: dict[str, Callable[[Session], Report]] = {
@@ -59,7 +59,6 @@ def run_bench(name: str, session: Session, dask: str | None, *, as_json: bool) -
     if as_json:
         print(json.dumps(summary))
         return 0
-    console = make_console()
-    console.print(Markdown((folder / f"{report.name}.md").read_text(encoding="utf-8")))
-    console.print(f"written: {folder}", markup=False, soft_wrap=True)
+    make_console().print(Markdown((folder / f"{report.name}.md").read_text(encoding="utf-8")))
+    say_written(folder)
     return 0

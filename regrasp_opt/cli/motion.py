@@ -54,12 +54,12 @@ def summary(motion: MotionPlan) -> dict[str, object]:
         "seconds": motion.seconds,
         "segments": [
             {
-                "phase": segment.phase.name.lower(),
-                "transition": segment.transition,
-                "grasp_id": segment.grasp_id,
-                "duration": segment.trajectory.duration,
+                "phase": s.phase.name.lower(),
+                "transition": s.transition,
+                "grasp_id": s.grasp_id,
+                "duration": s.trajectory.duration,
             }
-            for segment in motion.segments
+            for s in motion.segments
         ],
     }
 
@@ -73,18 +73,10 @@ def show(motion: MotionPlan) -> None:
         return
     numbers = "from [s]", "takes [s]", "joint travel [rad]", "peak speed"
     table = plain_table("move", "grasp", "phase", *numbers, right=len(numbers))
-    for segment, start in zip(motion.segments, motion.starts.tolist(), strict=True):
-        path = segment.trajectory
-        travel = float(np.abs(np.diff(path.positions, axis=0)).sum(axis=0).max())
-        peak = float((path.peak_velocity() / motion.velocity_limits).max())
-        table.add_row(
-            str(segment.transition),
-            str(segment.grasp_id),
-            segment.phase.name.lower(),
-            f"{start:.2f}",
-            f"{path.duration:.2f}",
-            f"{travel:.2f}",
-            f"{100 * peak:.0f} %",
-        )
+    for s, start in zip(motion.segments, motion.starts.tolist(), strict=True):
+        travel = float(np.abs(np.diff(s.trajectory.positions, axis=0)).sum(axis=0).max())
+        peak = float((s.trajectory.peak_velocity() / motion.velocity_limits).max())
+        figures = (f"{value:.2f}" for value in (start, s.trajectory.duration, travel))
+        table.add_row(str(s.transition), str(s.grasp_id), s.phase.name.lower(), *figures, f"{100 * peak:.0f} %")
     console.print(table)
     console.print(f"[bold green]SOLVED[/]: {len(motion.segments)} segments, {motion.duration:.1f} s of motion")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -30,13 +31,17 @@ def plain_table(*headings: str, right: int = 0) -> Table:
     return table
 
 
-class _TimeLeft(ProgressColumn):
-    """How much is left of the seconds that the task may take."""
+def say_written(*paths: str | os.PathLike[str] | None) -> None:
+    """Say which files were written; None stands for one that was not asked for."""
+    for path in paths:
+        if path is not None:
+            make_console().print(f"written: {path}", markup=False, soft_wrap=True)
 
+
+class _TimeLeft(ProgressColumn):
     def render(self, task: Task) -> Text:
-        if task.total is None:
-            return Text("")
-        return Text(f"at most {max(0.0, task.total - (task.elapsed or 0.0)):.0f} s left")
+        left = None if task.total is None else max(0.0, task.total - (task.elapsed or 0.0))
+        return Text("" if left is None else f"at most {left:.0f} s left")
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from typing import Any
 from rich.markup import escape
 
 from regrasp_opt.benchmarks.harness.runner import progress
-from regrasp_opt.cli.output import make_console, plain_table
+from regrasp_opt.cli.output import make_console, plain_table, say_written
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.planning.arm_energy import train_arm_energy
 from regrasp_opt.planning.prepare import prepare
@@ -33,7 +33,7 @@ def run_prepare(workcell: Workcell, as_json: bool, **options: Any) -> int:
     )
     unseen = ", ".join(f"{escape(name)} {value:.3f}" for name, value in card["unseen"].items())
     console.print(f"average precision on objects that it never saw: {unseen or 'the tool holds no built-in object'}")
-    console.print(f"written: {path}", markup=False, soft_wrap=True)
+    say_written(path)
     return 0
 
 
@@ -58,5 +58,5 @@ def run_prepare_object(model: ObjectModel, workcell: Workcell, as_json: bool, **
     bins = report["held_out"]["default"]["reliability"]
     pairs = ", ".join(f"{b['predicted']:.2f} -> {b['observed']:.2f}" for b in bins)
     console.print(f"reliability (predicted -> observed): {pairs}")
-    console.print(f"written: {folder}", markup=False, soft_wrap=True)
+    say_written(folder)
     return 0

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from regrasp_opt.cli.output import make_console, working
+from regrasp_opt.cli.output import make_console, say_written, working
 from regrasp_opt.errors import PlanFileError
 from regrasp_opt.motion import MotionPlan
 from regrasp_opt.planning import RegraspPlan
@@ -62,8 +62,7 @@ def run_show(
         drawn = [str(path) for path in written if path != html]
         print(json.dumps({"html": None if html is None else str(html), "plots": drawn}))
         return 0
-    for path in written:
-        make_console().print(f"written: {path}", markup=False, soft_wrap=True)
+    say_written(*written)
     return 0
 
 

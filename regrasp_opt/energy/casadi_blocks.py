@@ -17,7 +17,7 @@ from typing import Any, Protocol
 import casadi as ca
 
 from regrasp_opt.conventions import IntArray
-from regrasp_opt.energy.casadi_energy import Bottom, CasadiEnergy
+from regrasp_opt.energy.casadi_energy import CasadiEnergy, PassedEnergy
 from regrasp_opt.energy.model import GraspEnergy, PlanarLayer
 
 BLOCK = 256
@@ -40,7 +40,7 @@ class PoseEnergy(Protocol):
 def planar_energy(energy: CasadiEnergy, layer: PlanarLayer, xi: Any, *, tangents: bool) -> PoseEnergy:
     """Return the energies at ``dT(xi) @ T_p``; `tangents` says that `second` will be asked for, not `gradient`."""
     if energy.count <= BLOCK:
-        return _Whole(energy, energy.planar_bottom(layer, xi), tangents)
+        return PassedEnergy(energy, energy.planar_bottom(layer, xi), tangents)
     return _Blocked(energy, layer, xi)
 
 
@@ -101,20 +101,7 @@ class FreeEnergy:
         return self._spread.T, ca.MX(size, size)
 
 
-class _Whole:
-    def __init__(self, energy: CasadiEnergy, bottom: Bottom, tangents: bool) -> None:
-        self._expressions = energy
-        self._passed = energy.forward(bottom, tangents=tangents)
-        self.energy = self._passed.energy
-
-    def gradient(self, weights: Any) -> Any:
-        return self._expressions.gradient(self._passed, weights)
-
-    def second(self, weights: Any) -> tuple[Any, Any]:
-        return self._passed.tangent, self._expressions.curvature(self._passed, weights)
-
-
-class _FullPose(_Whole):
+class _FullPose(PassedEnergy):
     """The last row of a pose carries no energy: derivatives in it are structural zeros."""
 
     _spread = ca.DM(ca.Sparsity.triplet(16, 12, [4 * j + i for j in range(4) for i in range(3)], list(range(12))), 1)
@@ -130,45 +117,34 @@ class _FullPose(_Whole):
 class _Blocked:
     def __init__(self, energy: CasadiEnergy, layer: PlanarLayer, xi: Any) -> None:
         count = -(-energy.count // BLOCK)
-        edges = [energy.count * k // count for k in range(count + 1)]
-        self._xi = xi
-        self._parts = list(pairwise(edges))
-        self._functions = [_BlockFunctions.of(energy, last - first) for first, last in self._parts]
-        shift = layer.dx, layer.dy
-        self._layers = [ca.horzcat(*(part[:, first:last] for part in layer[:3]), *shift) for first, last in self._parts]
-        blocks = zip(self._functions, self._layers, strict=True)
-        self.energy = ca.vertcat(*[functions.value(numbers, xi) for functions, numbers in blocks])
+        self._xi, self._blocks = xi, []
+        for first, last in pairwise(energy.count * k // count for k in range(count + 1)):
+            numbers = ca.horzcat(*(part[:, first:last] for part in layer[:3]), layer.dx, layer.dy)
+            self._blocks.append((_passes(energy, last - first), numbers, slice(first, last)))
+        self.energy = ca.vertcat(*[passes[0](numbers, xi) for passes, numbers, _ in self._blocks])
 
     def gradient(self, weights: Any) -> Any:
-        parts = [f.gradient(numbers, self._xi, w) for f, numbers, w in self._blocks(weights)]
+        parts = [passes[1](numbers, self._xi, weights[part]) for passes, numbers, part in self._blocks]
         return sum(parts[1:], parts[0])
 
     def second(self, weights: Any) -> tuple[Any, Any]:
-        parts = [f.second(numbers, self._xi, w) for f, numbers, w in self._blocks(weights)]
+        parts = [passes[2](numbers, self._xi, weights[part]) for passes, numbers, part in self._blocks]
         curvatures = [curvature for _, curvature in parts]
         return ca.vertcat(*[tangent for tangent, _ in parts]), sum(curvatures[1:], curvatures[0])
 
-    def _blocks(self, weights: Any) -> list[tuple[_BlockFunctions, Any, Any]]:
-        cut = [weights[first:last] for first, last in self._parts]
-        return list(zip(self._functions, self._layers, cut, strict=True))
 
+@lru_cache(maxsize=8)
+def _passes(energy: CasadiEnergy, size: int) -> tuple[Any, Any, Any]:
+    """Return value, gradient and second derivatives of `size` grasps as functions of (layer (H, 3 size + 2), xi, weights).
 
-class _BlockFunctions:
-    """The passes for a block of `size` grasps as functions of (layer numbers (H, 3 size + 2), xi, weights)."""
-
-    def __init__(self, energy: CasadiEnergy, size: int) -> None:
-        block = CasadiEnergy(energy.model, size, energy.blas)
-        numbers, xi = ca.MX.sym("layer", energy.model.hidden, 3 * size + 2), ca.MX.sym("xi", 3)
-        w = ca.MX.sym("w", size)
-        layer = block.layer_parameter(numbers)
-        bottom = block.planar_bottom(layer, xi)
-        light, full = (_Whole(block, bottom, tangents) for tangents in (False, True))
-        self.value = ca.Function("value", [numbers, xi], [light.energy])
-        self.gradient = ca.Function("gradient", [numbers, xi, w], [light.gradient(w)])
-        self.second = ca.Function("second", [numbers, xi, w], list(full.second(w)))
-
-    @staticmethod
-    @lru_cache(maxsize=8)
-    def of(energy: CasadiEnergy, size: int) -> _BlockFunctions:
-        """Return the functions for `size` grasps, built once for the blocks of an energy."""
-        return _BlockFunctions(energy, size)
+    They are built once for the blocks of an energy.
+    """
+    block = CasadiEnergy(energy.model, size, energy.blas)
+    numbers, xi, w = ca.MX.sym("layer", energy.model.hidden, 3 * size + 2), ca.MX.sym("xi", 3), ca.MX.sym("w", size)
+    bottom = block.planar_bottom(block.layer_parameter(numbers), xi)
+    light, full = (PassedEnergy(block, bottom, tangents) for tangents in (False, True))
+    return (
+        ca.Function("value", [numbers, xi], [light.energy]),
+        ca.Function("gradient", [numbers, xi, w], [light.gradient(w)]),
+        ca.Function("second", [numbers, xi, w], list(full.second(w))),
+    )

@@ -25,12 +25,6 @@ Blas = Literal["classic", "reference"]
 """CasADi's matrix products: through BLAS, or CasADi's own loops, whose generated C needs no library."""
 
 
-class _Layer(NamedTuple):
-    first: Any  # derivative of the activation (H, G)
-    second: Any  # second derivative of the activation (H, G)
-    tangents: list[Any]  # of the pre-activation in the pose's parameters, k of (H, G), or none
-
-
 class Bottom(NamedTuple):
     """The first layer at a pose: pre-activation (H, G), its k tangents (H, G), and its second derivative.
 
@@ -42,22 +36,6 @@ class Bottom(NamedTuple):
     second: Any
 
 
-class Pass(NamedTuple):
-    """What one evaluation at a pose leaves behind.
-
-    ``energy`` (G, 1); ``tangent`` (G, k) is its derivative, or None where it was not asked for; the rest is the way
-    back.
-    """
-
-    energy: Any
-    tangent: Any
-    first: Any
-    second: Any
-    output_tangent: Any
-    bottom: Bottom
-    layers: list[_Layer]
-
-
 class CasadiEnergy:
     """CasADi expressions of one energy for `count` grasps; its weights are constants of the graph."""
 
@@ -65,8 +43,7 @@ class CasadiEnergy:
         self.model = model
         self.count = count
         self.blas = blas
-        self._weights = [ca.MX(ca.DM(W.astype(np.float64))) for W, _ in model.layers]
-        self._biases = [ca.MX(ca.DM(b.astype(np.float64))) for _, b in model.layers]
+        self.layers: list[Any] = [[ca.MX(ca.DM(part.astype(np.float64))) for part in layer] for layer in model.layers]
 
     def product(self, a: Any, b: Any) -> Any:
         """Return the matrix product, by the chosen implementation."""
@@ -82,7 +59,7 @@ class CasadiEnergy:
         return PlanarLayer(*ca.horzsplit(numbers, [*edges, edges[3] + 1, edges[3] + 2]))
 
     def planar_expression(self, layer: PlanarLayer, xi: Any) -> Any:
-        """Return the energies (G, 1) at ``dT(xi) @ T_p`` (Eq. 6), plainly built; the reference for `forward`."""
+        """Return the energies (G, 1) at ``dT(xi) @ T_p`` (Eq. 6), plainly built; the reference for `PassedEnergy`."""
         return self._plain(self.planar_bottom(layer, xi).value)
 
     def pose_expression(self, energy: GraspEnergy, T: Any) -> Any:
@@ -132,8 +109,7 @@ class CasadiEnergy:
         return Bottom(value, tangents, None)
 
     def _plain(self, z: Any) -> Any:
-        layers = zip(self._weights, self._biases, strict=True)
-        return evaluate(self, layers, self.model.activation, self.model.bounded, z).T
+        return evaluate(self, self.layers, self.model.activation, self.model.bounded, z).T
 
     def activate(self, name: Activation, z: Any) -> Any:
         """Return the activation of `z` (H, G)."""
@@ -147,47 +123,49 @@ class CasadiEnergy:
         """Return ``log(1 + exp(f))``, elementwise."""
         return ca.fmax(f, 0) + ca.log1p(ca.exp(-ca.fabs(f)))
 
-    def _output(self, f: Any) -> tuple[Any, Any, Any]:
-        """Return the energy and its first and second derivative in the network's output `f` (G, 1)."""
-        if not self.model.bounded:
-            return f, ca.MX.ones(self.count, 1), ca.MX.zeros(self.count, 1)
-        s = 1 / (1 + ca.exp(-f))
-        return self.softplus(f), s, s * (1 - s)
 
-    def forward(self, bottom: Bottom, *, tangents: bool) -> Pass:
-        """Evaluate the energies at the pose of `bottom`, with their gradients if `tangents`."""
-        z, moving = bottom.value, bottom.tangents if tangents else []
-        layers = []
-        for W, b in zip(self._weights, self._biases, strict=True):
-            a = casadi_activation(self.model.activation, z)
-            layers.append(_Layer(a.first, a.second, moving))
-            stacked = self.product(W, ca.horzcat(a.value, *[a.first * t for t in moving]))
-            z, *moving = ca.horzsplit(stacked, self.count)
-            z = z + ca.repmat(b, 1, self.count)
-        energy, first, second = self._output(z.T)
-        df = ca.horzcat(*[t.T for t in moving]) if tangents else None
-        tangent = ca.repmat(first, 1, len(moving)) * df if tangents else None
-        return Pass(energy, tangent, first, second, df, bottom, layers)
+class PassedEnergy:
+    """The energies `energy` (G, 1) at the pose of a `Bottom`, and what one evaluation leaves for their derivatives.
 
-    def gradient(self, passed: Pass, weights: Any) -> Any:
+    `tangents` says that `second` will be asked for: the gradients are pushed forward beside the value.
+    """
+
+    def __init__(self, expressions: CasadiEnergy, bottom: Bottom, tangents: bool) -> None:
+        self._expressions, self._bottom = expressions, bottom
+        z, moving, model = bottom.value, bottom.tangents if tangents else [], expressions.model
+        self._layers = []  # activation's first and second derivative (H, G), and the pre-activation's tangents
+        for W, b in expressions.layers:
+            a = casadi_activation(model.activation, z)
+            self._layers.append((W, a.first, a.second, moving))
+            stacked = expressions.product(W, ca.horzcat(a.value, *[a.first * t for t in moving]))
+            z, *moving = ca.horzsplit(stacked, expressions.count)
+            z = z + ca.repmat(b, 1, expressions.count)
+        f, self._output_tangents = z.T, ca.horzcat(*[t.T for t in moving])
+        if model.bounded:  # energy, first and second derivative in the network's output
+            s = 1 / (1 + ca.exp(-f))
+            self.energy, self._first, self._second = expressions.softplus(f), s, s * (1 - s)
+        else:
+            self.energy, self._first, self._second = f, ca.MX.ones(*f.shape), ca.MX.zeros(*f.shape)
+
+    def gradient(self, weights: Any) -> Any:
         """Return ``sum_g weights_g dE_g`` (k, 1) by one sweep back; needs no tangents."""
-        adjoint = (weights * passed.first).T
-        for W, layer in zip(reversed(self._weights), reversed(passed.layers), strict=True):
-            adjoint = self.product(W.T, adjoint) * layer.first
-        return ca.vertcat(*[ca.dot(adjoint, t) for t in passed.bottom.tangents])
+        adjoint = (weights * self._first).T
+        for W, first, _, _ in reversed(self._layers):
+            adjoint = self._expressions.product(W.T, adjoint) * first
+        return ca.vertcat(*[ca.dot(adjoint, t) for t in self._bottom.tangents])
 
-    def curvature(self, passed: Pass, weights: Any) -> Any:
-        """Return ``sum_g weights_g d2E_g`` (k, k) at fixed `weights` (G, 1), by one sweep back."""
-        df = passed.output_tangent
+    def second(self, weights: Any) -> tuple[Any, Any]:
+        """Return dE (G, k) and ``sum_g weights_g d2E_g`` (k, k) at fixed `weights` (G, 1), by one sweep back."""
+        df, product = self._output_tangents, self._expressions.product
         count = df.shape[1]
-        total = self.product(df.T, ca.repmat(weights * passed.second, 1, count) * df)
-        adjoint = (weights * passed.first).T
-        for W, layer in zip(reversed(self._weights), reversed(passed.layers), strict=True):
-            adjoint = self.product(W.T, adjoint)
-            second = adjoint * layer.second
-            columns = [ca.vec(t) for t in layer.tangents]
-            pushed = ca.horzcat(*[ca.vec(second * t) for t in layer.tangents])
-            total = total + self.product(ca.horzcat(*columns).T, pushed)
-            adjoint = adjoint * layer.first
-        own = passed.bottom.second
-        return total if own is None else total + ca.diagcat(ca.MX(count - 1, count - 1), ca.dot(adjoint, own))
+        total = product(df.T, ca.repmat(weights * self._second, 1, count) * df)
+        adjoint = (weights * self._first).T
+        for W, first, second, tangents in reversed(self._layers):
+            adjoint = product(W.T, adjoint)
+            columns = ca.horzcat(*[ca.vec(t) for t in tangents])
+            pushed = ca.horzcat(*[ca.vec(adjoint * second * t) for t in tangents])
+            total = total + product(columns.T, pushed)
+            adjoint = adjoint * first
+        if self._bottom.second is not None:
+            total = total + ca.diagcat(ca.MX(count - 1, count - 1), ca.dot(adjoint, self._bottom.second))
+        return ca.repmat(self._first, 1, count) * df, total

@@ -120,9 +120,5 @@ class _Onnx:
         return self._node("Softplus", [f], "bounded")
 
 
-EXPORTERS = {
-    "casadi": export_casadi,
-    "c": export_c,
-    "onnx": export_onnx,
-}
+EXPORTERS = {"casadi": export_casadi, "c": export_c, "onnx": export_onnx}
 SUFFIXES = {"casadi": ".casadi", "c": ".c", "onnx": ".onnx"}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
@@ -18,22 +17,15 @@ from regrasp_opt.errors import ModelError
 from regrasp_opt.files import atomic_path
 
 FORMAT = 1
+AGAIN = "make it again with 'regrasp-opt prepare'"
 
 
 def save_energy(model: EnergyModel, path: str | os.PathLike[str]) -> None:
     """Write `model` to `path` (.safetensors), atomically."""
     tensors = {f"weight.{i}": np.ascontiguousarray(W) for i, W in enumerate(model.weights)}
     tensors |= {f"bias.{i}": np.ascontiguousarray(b) for i, b in enumerate(model.biases)}
-    header = {
-        "format": FORMAT,
-        "layers": len(model.weights),
-        "activation": model.activation,
-        "features": model.features,
-        "use_width": model.use_width,
-        "bounded": model.bounded,
-        "threshold": model.threshold,
-        "metadata": model.metadata,
-    }
+    fields = ("activation", "features", "use_width", "bounded", "threshold", "metadata")
+    header = {"format": FORMAT, "layers": len(model.weights), **{name: getattr(model, name) for name in fields}}
     with atomic_path(path) as temporary:
         save_file(tensors, temporary, {"regrasp_opt": json.dumps(header, sort_keys=True)})
 
@@ -51,15 +43,9 @@ def load_energy(path: str | os.PathLike[str]) -> EnergyModel:
             header = json.loads((file.metadata() or {}).get("regrasp_opt", "null"))
             arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
     except (SafetensorError, OSError, ValueError, RecursionError) as error:
-        raise ModelError(
-            f"the model file '{path}' is empty or corrupt; make it again with 'regrasp-opt prepare'"
-        ) from error
-    return _assemble(header, arrays, path)
-
-
-def _assemble(header: Any, arrays: dict[str, Any], path: Path) -> EnergyModel:
+        raise ModelError(f"the model file '{path}' is empty or corrupt; {AGAIN}") from error
     if not isinstance(header, dict) or header.get("format") != FORMAT:
-        raise ModelError(f"'{path}' is not a model of format {FORMAT}; make it again with 'regrasp-opt prepare'")
+        raise ModelError(f"'{path}' is not a model of format {FORMAT}; {AGAIN}")
     try:
         layers = range(int(header["layers"]))
         model = EnergyModel(
@@ -74,9 +60,9 @@ def _assemble(header: Any, arrays: dict[str, Any], path: Path) -> EnergyModel:
         )
         good = model.activation in ACTIVATIONS and model.features in FEATURE_SETS and _consistent(model)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise ModelError(f"the model file '{path}' lacks a field; make it again with 'regrasp-opt prepare'") from error
+        raise ModelError(f"the model file '{path}' lacks a field; {AGAIN}") from error
     if not good:
-        raise ModelError(f"the layers in '{path}' do not fit together; make it again with 'regrasp-opt prepare'")
+        raise ModelError(f"the layers in '{path}' do not fit together; {AGAIN}")
     return model
 
 

@@ -21,6 +21,7 @@ from regrasp_opt.energy.features import FEATURE_SETS, FeatureSet
 from regrasp_opt.energy.model import EnergyModel
 from regrasp_opt.energy.network import evaluate
 from regrasp_opt.errors import ModelError, OptionError
+from regrasp_opt.threads import one_torch_thread
 
 if TYPE_CHECKING:
     import torch
@@ -66,13 +67,7 @@ class TrainingOptions:
 PRESETS: dict[str, TrainingOptions] = {
     "default": TrainingOptions(),
     "paper": TrainingOptions(
-        hidden=128,
-        activation="selu",
-        features="paper",
-        bounded=False,
-        loss="paper",
-        epochs=20,
-        learning_rate=2e-3,
+        hidden=128, activation="selu", features="paper", bounded=False, loss="paper", epochs=20, learning_rate=2e-3
     ),
 }
 
@@ -103,7 +98,10 @@ def train(
     std = np.where(std > 1e-6, std, 1.0)
     x = torch.as_tensor((features - mean) / std, dtype=torch.float32).to(device)
     y = torch.as_tensor(feasible, dtype=torch.float32).to(device)
-    layers = _layers(features.shape[1], options, generator, device)
+    sizes, layers = [features.shape[1], options.hidden, options.hidden, 1], []
+    for fan_in, fan_out in itertools.pairwise(sizes):
+        W = torch.randn(fan_out, fan_in, generator=generator) * fan_in**-0.5
+        layers.append((W.to(device).requires_grad_(), torch.zeros(fan_out, device=device).requires_grad_()))
     parameters = [p for layer in layers for p in layer]
     optimiser = torch.optim.AdamW(parameters, lr=options.learning_rate, weight_decay=options.weight_decay)
     batches = -(-len(y) // options.batch_size)
@@ -111,7 +109,7 @@ def train(
         optimiser, options.learning_rate, total_steps=options.epochs * batches
     )
     network = TorchNetwork()
-    with _one_steady_thread():
+    with _steadily():
         for epoch in range(options.epochs):
             order = torch.randperm(len(y), generator=generator).to(device)
             for batch in order.split(options.batch_size):
@@ -127,7 +125,7 @@ def train(
 
 
 @contextmanager
-def _one_steady_thread() -> Iterator[None]:
+def _steadily() -> Iterator[None]:
     """Train on one thread, without denormals.
 
     Batches are too small to gain from a second thread, and on a busy machine threads that wait for each other cost a
@@ -135,27 +133,12 @@ def _one_steady_thread() -> Iterator[None]:
     """
     import torch
 
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
     torch.set_flush_denormal(True)
     try:
-        yield
+        with one_torch_thread():
+            yield
     finally:
         torch.set_flush_denormal(False)
-        torch.set_num_threads(threads)
-
-
-def _layers(
-    inputs: int, options: TrainingOptions, generator: torch.Generator, device: torch.device
-) -> list[tuple[torch.Tensor, torch.Tensor]]:
-    import torch
-
-    sizes = [inputs, options.hidden, options.hidden, 1]
-    layers = []
-    for fan_in, fan_out in itertools.pairwise(sizes):
-        W = torch.randn(fan_out, fan_in, generator=generator) * fan_in**-0.5
-        layers.append((W.to(device).requires_grad_(), torch.zeros(fan_out, device=device).requires_grad_()))
-    return layers
 
 
 def training_loss(f: torch.Tensor, y: torch.Tensor, options: TrainingOptions) -> torch.Tensor:
@@ -175,26 +158,14 @@ def training_loss(f: torch.Tensor, y: torch.Tensor, options: TrainingOptions) ->
 
 
 def _export(
-    layers: list[tuple[torch.Tensor, torch.Tensor]],
-    mean: FloatArray,
-    std: FloatArray,
-    options: TrainingOptions,
+    layers: list[tuple[torch.Tensor, torch.Tensor]], mean: FloatArray, std: FloatArray, options: TrainingOptions
 ) -> EnergyModel:
     """Return the trained weights with the standardisation of the inputs folded into the first layer."""
-    arrays = [
-        (W.detach().cpu().numpy().astype(np.float64), b.detach().cpu().numpy().astype(np.float64)) for W, b in layers
-    ]
-    W, b = arrays[0]
-    arrays[0] = (W / std, b - (W / std) @ mean)
+    arrays = [[t.detach().cpu().numpy().astype(np.float64) for t in layer] for layer in layers]
+    arrays[0][0] /= std
+    arrays[0][1] -= arrays[0][0] @ mean
+    weights, biases = (tuple(array.astype(np.float32) for array in part) for part in zip(*arrays, strict=True))
     kept = asdict(options)
     kept.pop("device")
-    return EnergyModel(
-        weights=tuple(W.astype(np.float32) for W, _ in arrays),
-        biases=tuple(b.astype(np.float32) for _, b in arrays),
-        activation=options.activation,
-        features=options.features,
-        use_width=options.use_width,
-        bounded=options.bounded,
-        threshold=float("nan"),
-        metadata={"training": kept},
-    )
+    network = options.activation, options.features, options.use_width, options.bounded
+    return EnergyModel(weights, biases, *network, threshold=float("nan"), metadata={"training": kept})

@@ -147,7 +147,10 @@ def _between_contacts(
             continue
         pair = _central_pair(distance, facing, LOOSE, np.inf)
         if pair is not None:
-            turned.append((_aligned(_centered(T[k], distance, pair), normals[pair[1]] - normals[pair[0]], depth), k))
+            before, direction = _centered(T[k], distance, pair), normals[pair[1]] - normals[pair[0]]
+            pose = _turned(before, 1, direction / np.linalg.norm(direction))
+            pose[:3, 3] = before[:3, 3] + depth * (before[:3, 2] - pose[:3, 2])  # about the middle of its contacts
+            turned.append((pose, k))
     again = np.array([pose for pose, _ in turned]).reshape(-1, 4, 4)
     for (pose, k), (distance, normals) in zip(turned, _crossings(surface, again, depth), strict=True):
         pair = _central_pair(distance, normals @ pose[:3, 1], cosine, widest)
@@ -180,13 +183,6 @@ def _centered(T: FloatArray, distance: FloatArray, pair: tuple[int, int]) -> Flo
     moved = T.copy()
     moved[:3, 3] += (distance[pair[0]] + distance[pair[1]]) / 2 * T[:3, 1]
     return moved
-
-
-def _aligned(T: FloatArray, direction: FloatArray, depth: float) -> FloatArray:
-    """Return `T` turned about the middle of its contacts until it closes along `direction` (3,)."""
-    turned = _turned(T, 1, direction / np.linalg.norm(direction))
-    turned[:3, 3] = T[:3, 3] + depth * (T[:3, 2] - turned[:3, 2])
-    return turned
 
 
 def _turned(T: FloatArray, axis: int, direction: FloatArray) -> FloatArray:

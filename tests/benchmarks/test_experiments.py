@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from regrasp_opt.benchmarks.comparisons import ablations, joint, refiners
-from regrasp_opt.benchmarks.harness import models
 from regrasp_opt.benchmarks.harness import session as session_module
+from regrasp_opt.benchmarks.harness import subjects
 from regrasp_opt.benchmarks.harness.oracle import Resolution
 from regrasp_opt.benchmarks.harness.report import write_report
 from regrasp_opt.benchmarks.harness.session import Session
@@ -94,7 +94,7 @@ def test_hard_tiers_and_refiners_share_their_instances(session, monkeypatch):
 def test_cross_effector(session, monkeypatch):
     tiny = cross_effector.TransferSizes(("w", "s1"), 1, 1, 500, Resolution(0.2, 4))
     monkeypatch.setattr(cross_effector, "QUICK", tiny)
-    monkeypatch.setattr(models, "HELD_OUT_POSES", 50)
+    monkeypatch.setattr(subjects, "HELD_OUT_POSES", 50)
     report = cross_effector.run_cross_effector(session)
     rows = check(report, session)
     tools = ("w", "s1")
@@ -129,7 +129,7 @@ def test_the_control_across_end_effectors_knows_only_ends_and_table(bottle_probl
 def test_ablations(session, monkeypatch):
     monkeypatch.setattr(ablations, "PAIRS", {True: 1})
     monkeypatch.setattr(ablations, "SAMPLES", {True: 2_400})
-    monkeypatch.setattr(models, "HELD_OUT_POSES", 50)
+    monkeypatch.setattr(subjects, "HELD_OUT_POSES", 50)
     kept = {name: ablations.VARIANTS[name] for name in ("default", "samples / 4", "lambda_reg 0", "grasps 50")}
     monkeypatch.setattr(ablations, "VARIANTS", kept)
     rows = check(ablations.run_ablations(session), session)
@@ -184,7 +184,7 @@ def test_blocks_of_end_effectors_leave_the_same_tool_out():
     }
     values |= {("constant", tested): 0.15 for tested in END_EFFECTORS}
     rows = [{"object": "mug.stl", "trained": a, "tested": b, "sv": sv} for (a, b), sv in values.items()]
-    lines = {line[1]: line[2:] for line in cross_effector._blocks(rows).rows}
+    lines = {line[1]: line[2:] for line in cross_effector._blocks(rows, []).rows}
     assert all(line[0] == 15 and line[2] == 90 for line in lines.values())
     assert {block: line[4:6] for block, line in lines.items()} == {
         "same tool": (0, 6), "grippers to grippers": (6, 6), "grippers to suction": (9, 9),

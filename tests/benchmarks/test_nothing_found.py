@@ -9,13 +9,13 @@ import pytest
 import trimesh
 
 from regrasp_opt.benchmarks.comparisons import ablations, joint, motion
-from regrasp_opt.benchmarks.harness import models, subjects
+from regrasp_opt.benchmarks.harness import subjects
 from regrasp_opt.benchmarks.harness.instances import Instance
-from regrasp_opt.benchmarks.harness.models import TrainingRequest, trained_energies
 from regrasp_opt.benchmarks.harness.oracle import Resolution
 from regrasp_opt.benchmarks.harness.planners import graph_row, plan_row
 from regrasp_opt.benchmarks.harness.report import Report, Table
 from regrasp_opt.benchmarks.harness.session import Session
+from regrasp_opt.benchmarks.harness.subjects import TrainingRequest, trained_energies
 from regrasp_opt.benchmarks.paper import cost_sweep, hard_tiers, one_step
 from regrasp_opt.cli.app import run
 from regrasp_opt.cli.bench import EXPERIMENTS
@@ -159,7 +159,7 @@ def test_a_mesh_is_prepared_once_and_again_when_its_model_is_broken(tmp_path, mo
 
 def test_a_broken_energy_is_trained_again(bottle_problem, tmp_path, monkeypatch, caplog):
     monkeypatch.setenv("REGRASP_OPT_HOME", str(tmp_path))
-    monkeypatch.setattr(models, "HELD_OUT_POSES", 30)
+    monkeypatch.setattr(subjects, "HELD_OUT_POSES", 30)
     request = TrainingRequest(bottle_problem, TrainingOptions(hidden=8, epochs=2), 200)
     told = []
     [first] = trained_energies([request], jobs=1, progress=lambda done, total: told.append((done, total)))

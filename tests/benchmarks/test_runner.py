@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from regrasp_opt.benchmarks.harness.parallel import dask_cluster
-from regrasp_opt.benchmarks.harness.runner import Item, run_items, write_csv
+from regrasp_opt.benchmarks.harness.runner import Item, dask_cluster, run_items, write_csv
 from regrasp_opt.errors import MeshError, OptionError
 from regrasp_opt.files import atomic_path
 

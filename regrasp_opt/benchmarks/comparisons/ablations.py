@@ -10,11 +10,10 @@ import numpy as np
 from regrasp_opt.benchmarks.harness import tables
 from regrasp_opt.benchmarks.harness.generation import GENERATORS, NO_GRASP, OneStepTask, generate
 from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
-from regrasp_opt.benchmarks.harness.models import TrainingRequest
 from regrasp_opt.benchmarks.harness.report import Report, Table
 from regrasp_opt.benchmarks.harness.runner import Item, Row
 from regrasp_opt.benchmarks.harness.session import Session, run_experiment
-from regrasp_opt.benchmarks.harness.subjects import problem_key, resident
+from regrasp_opt.benchmarks.harness.subjects import TrainingRequest, problem_key, resident
 from regrasp_opt.connectivity import CostOptions
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
 from regrasp_opt.energy.training import PRESETS, TrainingOptions
@@ -84,16 +83,9 @@ def run_ablations(session: Session) -> Report:
             items.append(Item(f"{name}/{label}", key, measure_variant, arguments, {"object": name, "variant": label}))
         return items, frozen
 
-    return run_experiment(
-        session,
-        "ablations",
-        "Ablations",
-        TEXT,
-        work,
-        lambda rows, names: [_table(rows, name) for name in names],
-        settings={"samples": samples, "oracle": str(session.grid)},
-        most=OBJECTS[session.quick],
-    )
+    settings = {"samples": samples, "oracle": str(session.grid)}
+    most = OBJECTS[session.quick]
+    return run_experiment(session, "ablations", "Ablations", TEXT, work, (_tables,), settings=settings, most=most)
 
 
 def measure_variant(
@@ -135,9 +127,8 @@ def _measure(task: OneStepTask, variant: Variant, stream: list[int]) -> Row:
     }
 
 
-def _table(rows: list[Row], name: str) -> Table:
-    here = [row for row in rows if row["object"] == name]
-    groups = {label: [row for row in here if row.get("variant") == label] for label in VARIANTS}
+def _tables(rows: list[Row], names: list[str]) -> list[Table]:
+    found = tables.grouped(rows, "object", "variant")
     columns = {
         "AP": tables.average("ap", 4),
         "shared F1": tables.average("shared_f1", 4),
@@ -152,4 +143,5 @@ def _table(rows: list[Row], name: str) -> Table:
         f"Refined S.V., converged, iterations, time and gain: Ipopt from the {SOLVES} cheapest poses of each pair. "
         "Costs of different energies are not comparable, and neither are their gains."
     )
-    return tables.summary(name, ("variant",), groups, columns, note)
+    groups = {name: {label: found.get((name, label), []) for label in VARIANTS} for name in names}
+    return [tables.summary(name, ("variant",), own, columns, note) for name, own in groups.items()]

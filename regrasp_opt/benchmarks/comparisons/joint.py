@@ -6,6 +6,7 @@ import itertools
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -55,15 +56,9 @@ def run_joint(session: Session) -> Report:
                 items.append(pair_item(name, problem, pair, thinned_rows, ids, seed, label=", thinned"))
         return items, instances_hash(pairs)
 
-    return run_experiment(
-        session,
-        "joint",
-        "Joint problem and free grasps",
-        TEXT,
-        work,
-        lambda rows, names: (*(_measure_table(rows, names, m) for m in MEASURES), _thinned_table(rows, names)),
-        settings={"grasps kept": KEPT, "most regrasps": MAX_REGRASPS},
-    )
+    heading, settings = "Joint problem and free grasps", {"grasps kept": KEPT, "most regrasps": MAX_REGRASPS}
+    made = partial(_measure_table, measure="travel"), partial(_measure_table, measure="clearance"), _thinned_table
+    return run_experiment(session, "joint", heading, TEXT, work, made, settings=settings)
 
 
 def refined_rows(problem: RegraspProblem, pair: Instance, seed: int) -> list[Row]:

@@ -37,16 +37,8 @@ def run_motion(session: Session) -> Report:
         items = [pair_item(name, problem, p, motion_row, session.seed, folder) for p in pairs]
         return items, instances_hash(pairs)
 
-    return run_experiment(
-        session,
-        "motion",
-        "Motion",
-        TEXT,
-        work,
-        lambda rows, names: (_table(rows, names), _failures(rows)),
-        figures=_figures,
-        settings={"time limit [s]": TIME_LIMIT},
-    )
+    settings, made = {"time limit [s]": TIME_LIMIT}, (_table, _failures)
+    return run_experiment(session, "motion", "Motion", TEXT, work, made, figures=_figures, settings=settings)
 
 
 def motion_row(problem: RegraspProblem, instance: Instance, seed: int, folder: Path) -> list[Row]:
@@ -107,7 +99,7 @@ def _table(rows: list[Row], names: list[str]) -> Table:
     )
 
 
-def _failures(rows: list[Row]) -> Table:
+def _failures(rows: list[Row], names: list[str]) -> Table:
     bad = [row for row in rows if "solved" in row and not row.get("first_moves")]
     columns: dict[str, tables.Value] = {"pair": "pair", "status": "status", "reason": "reason"}
     columns["a later one has"] = lambda row: "yes" if row.get("moves") else "no"

@@ -38,30 +38,17 @@ def run_refiners(session: Session) -> Report:
     """Measure success, quality and time of every planner."""
 
     def work(name: str, problem: RegraspProblem) -> tuple[list[Item], str]:
-        pairs = _instances(session, name, problem)
+        easy = session.chosen(name, problem, session.oracle(name, problem), {"any": PAIRS[session.quick]}, 40)
+        every = Condition("all grasps", problem, session.grid, np.arange(len(problem.grasps)))
+        pairs, hard = [(every, instance) for instance in easy], hard_instances(session, name, problem)
+        for tier, count in HARD[session.quick].items():
+            pairs += [pair for pair in hard if pair[1].tier == tier][:count]
         items = [item for condition, pair in pairs for item in _items(session, name, condition, pair)]
         return items, instances_hash([pair for _, pair in pairs])
 
-    return run_experiment(
-        session,
-        "refiners",
-        "Refiners and baselines",
-        TEXT,
-        work,
-        lambda rows, names: (_success_table(rows), _quality_table(rows)),
-        figures=_figures,
-        settings={"oracle": str(session.grid), "time limit [s]": TIME_LIMIT[session.quick]},
-    )
-
-
-def _instances(session: Session, name: str, problem: RegraspProblem) -> list[tuple[Condition, Instance]]:
-    easy = session.chosen(name, problem, session.oracle(name, problem), {"any": PAIRS[session.quick]}, 40)
-    every = Condition("all grasps", problem, session.grid, np.arange(len(problem.grasps)))
-    pairs = [(every, instance) for instance in easy]
-    hard = hard_instances(session, name, problem)
-    for tier, count in HARD[session.quick].items():
-        pairs += [pair for pair in hard if pair[1].tier == tier][:count]
-    return pairs
+    settings = {"oracle": str(session.grid), "time limit [s]": TIME_LIMIT[session.quick]}
+    heading, made = ("refiners", "Refiners and baselines", TEXT), (_success_table, _quality_table)
+    return run_experiment(session, *heading, work, made, figures=_figures, settings=settings)
 
 
 def _items(session: Session, name: str, condition: Condition, instance: Instance) -> list[Item]:
@@ -83,7 +70,7 @@ def _by_planner(rows: list[Row]) -> dict[str, list[Row]]:
     return {name: measured.get((name,), []) for name in (GRAPH, *PLANNERS)}
 
 
-def _success_table(rows: list[Row]) -> Table:
+def _success_table(rows: list[Row], names: list[str]) -> Table:
     def late(here: list[Row]) -> float | None:
         times = sorted(tables.values(here, "first_verified", of="solved"))
         return round(times[int(0.9 * (len(times) - 1))], 3) if times else None
@@ -112,7 +99,7 @@ def _success_table(rows: list[Row]) -> Table:
     )
 
 
-def _quality_table(rows: list[Row]) -> Table:
+def _quality_table(rows: list[Row], names: list[str]) -> Table:
     by_planner = _by_planner(rows)
     solved_by_all = set.intersection(
         *({row["pair"] for row in here if row["solved"]} for planner, here in by_planner.items() if planner != GRAPH)

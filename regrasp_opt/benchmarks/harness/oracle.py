@@ -19,7 +19,7 @@ import joblib
 import numpy as np
 from scipy.sparse.csgraph import shortest_path
 
-from regrasp_opt.benchmarks.harness.parallel import resumed
+from regrasp_opt.benchmarks.harness.runner import resumed
 from regrasp_opt.benchmarks.harness.subjects import problem_key, resident
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, planar_transform
 from regrasp_opt.errors import OptionError

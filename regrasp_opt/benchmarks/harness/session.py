@@ -15,11 +15,17 @@ from typing import Any, TypeVar
 import numpy as np
 
 from regrasp_opt.benchmarks.harness.instances import Instance, PosePool, choose_instances, instances_hash
-from regrasp_opt.benchmarks.harness.models import TrainingRequest, trained_energies
 from regrasp_opt.benchmarks.harness.oracle import PAPER_GRID, Oracle, Resolution, build_oracle
 from regrasp_opt.benchmarks.harness.report import Figure, Report, Table
 from regrasp_opt.benchmarks.harness.runner import Item, Results, Row, progress, run_items
-from regrasp_opt.benchmarks.harness.subjects import DEFAULT_WORKCELL, mesh_files, planning_key, prepared_problem
+from regrasp_opt.benchmarks.harness.subjects import (
+    DEFAULT_WORKCELL,
+    TrainingRequest,
+    mesh_files,
+    planning_key,
+    prepared_problem,
+    trained_energies,
+)
 from regrasp_opt.energy.model import EnergyModel
 from regrasp_opt.errors import RegraspError
 from regrasp_opt.files import content_hash
@@ -132,7 +138,7 @@ def run_experiment(
     title: str,
     text: str,
     work: Work,
-    tables: Callable[[list[Row], list[str]], Iterable[Table]],
+    tables: Iterable[Callable[[list[Row], list[str]], Table | list[Table]]],
     *,
     figures: Callable[[list[Row], list[str]], Iterable[Figure]] = lambda rows, names: (),
     settings: dict[str, Any] | None = None,
@@ -140,8 +146,8 @@ def run_experiment(
 ) -> Report:
     """Run the experiment `name` on the objects of a session, or on the first `most` of them.
 
-    `tables` and `figures` are made of the rows and the names of the objects that can be evaluated; `settings` is what
-    the report tells besides size and seed.
+    Each of the `tables`, or several at once, and `figures` are made of the rows and the names of the objects that can
+    be evaluated; `settings` is what the report tells besides size and seed.
     """
     problems, unusable = session.subjects()
     chosen = list(problems.items())[:most]
@@ -152,9 +158,12 @@ def run_experiment(
         items += found
     results = session.execute(name, items)
     rows, names = results.rows + unusable, list(hashes)
-    made = tuple(tables(rows, names)), rows, tuple(figures(rows, names))
-    told = {"quick": session.quick, "seed": session.seed, **(settings or {})}
-    return Report(name, title, text, *made, hashes, results.revisions, told)
+    made: list[Table] = []
+    for make in tables:
+        table = make(rows, names)
+        made += [table] if isinstance(table, Table) else table
+    drawn, told = tuple(figures(rows, names)), {"quick": session.quick, "seed": session.seed, **(settings or {})}
+    return Report(name, title, text, tuple(made), rows, drawn, hashes, results.revisions, told)
 
 
 def pair_item(

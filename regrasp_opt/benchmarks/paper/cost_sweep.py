@@ -47,7 +47,8 @@ def run_cost_sweep(session: Session) -> Report:
         oracle = session.oracle(name, problem)
         sums = session.chosen(name, problem, oracle, {"0": SUMS[session.quick]}, 50)
         pairs = session.chosen(name, problem, oracle, {"1": CANDIDATES}, 51)
-        swept = [pair for pair in pairs if _same_placement(problem, pair)][: PAIRS[session.quick]]
+        numbers = [{planar_parameters(T, problem.placement_poses)[0] for T in pair.ends} for pair in pairs]
+        swept = [pair for pair, own in zip(pairs, numbers, strict=True) if len(own) == 1][: PAIRS[session.quick]]
         items = [
             pair_item(name, problem, pair, f, label=f"/{f.__name__}", part=f.__name__, first=pair is chosen[0])
             for f, chosen in ((compare_sums, sums), (sweep, swept))
@@ -59,21 +60,9 @@ def run_cost_sweep(session: Session) -> Report:
         sums = [Figure(f"Energies of all grasps at two poses: {n}", _sum_figure(rows, n)) for n in names]
         return sums + [Figure(f"Costs along the sweep: {n}", _sweep_figure(rows, n)) for n in names]
 
-    return run_experiment(
-        session,
-        "cost-sweep",
-        "Energy compositionality and cost sweep",
-        TEXT,
-        work,
-        lambda rows, names: (_sum_table(rows, names), _sweep_table(rows, names)),
-        figures=figures,
-        settings={"steps": STEPS},
-    )
-
-
-def _same_placement(problem: RegraspProblem, instance: Instance) -> bool:
-    ends = [planar_parameters(T, problem.placement_poses)[0] for T in (instance.start, instance.goal)]
-    return ends[0] == ends[1]
+    made = (_sum_table, _sweep_table)
+    title, settings = "Energy compositionality and cost sweep", {"steps": STEPS}
+    return run_experiment(session, "cost-sweep", title, TEXT, work, made, figures=figures, settings=settings)
 
 
 def compare_sums(problem: RegraspProblem, instance: Instance) -> list[Row]:

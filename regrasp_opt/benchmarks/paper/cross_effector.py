@@ -10,12 +10,11 @@ import numpy as np
 
 from regrasp_opt.benchmarks.harness import tables
 from regrasp_opt.benchmarks.harness.instances import Instance, instances_hash
-from regrasp_opt.benchmarks.harness.models import TrainingRequest
 from regrasp_opt.benchmarks.harness.oracle import Oracle, Resolution
 from regrasp_opt.benchmarks.harness.report import Cell, Report, Table, percent
 from regrasp_opt.benchmarks.harness.runner import Item, Row
 from regrasp_opt.benchmarks.harness.session import QUICK_GRID, Session, run_experiment
-from regrasp_opt.benchmarks.harness.subjects import problem_key, resident
+from regrasp_opt.benchmarks.harness.subjects import TrainingRequest, problem_key, resident
 from regrasp_opt.benchmarks.paper.published import CROSS_EFFECTOR, END_EFFECTORS, PAPER_OBJECT
 from regrasp_opt.connectivity import CostOptions, block, exact_energy
 from regrasp_opt.conventions import BoolArray, FloatArray, planar_transform
@@ -92,18 +91,11 @@ def run_cross_effector(session: Session) -> Report:
 
     def tables_of(rows: list[Row], names: list[str]) -> list[Table]:
         measured = [name for name in names if any(r["object"] == name and "sv" in r for r in rows)]
-        return [*(_table(rows, name, sizes.end_effectors) for name in measured), _blocks(rows)]
+        return [_table(rows, name, sizes.end_effectors) for name in measured]
 
-    return run_experiment(
-        session,
-        "cross-effector",
-        "Across end-effectors",
-        TEXT,
-        work,
-        tables_of,
-        settings={"pairs": sizes.pairs, "samples": sizes.samples, "oracle": str(sizes.grid)},
-        most=sizes.objects,
-    )
+    settings = {"pairs": sizes.pairs, "samples": sizes.samples, "oracle": str(sizes.grid)}
+    heading, made = ("cross-effector", "Across end-effectors", TEXT), (tables_of, _blocks)
+    return run_experiment(session, *heading, work, made, settings=settings, most=sizes.objects)
 
 
 def _refused(reason: str) -> list[Row]:
@@ -164,7 +156,7 @@ def _table(rows: list[Row], name: str, end_effectors: tuple[str, ...]) -> Table:
     return Table(name, columns, tuple(lines), f"S.V. [%] of the tested end-effector (column). Pairs: {counts}.")
 
 
-def _blocks(rows: list[Row]) -> Table:
+def _blocks(rows: list[Row], names: list[str]) -> Table:
     """Return the means of the diagonal and of the blocks beside it, with the controls over the same cells."""
     groups: dict[tuple[str, str], list[Row]] = {}
     kind = {tool: name for name, tools in KINDS.items() for tool in tools}

@@ -136,18 +136,11 @@ def run_hard_tiers(session: Session) -> Report:
         items = [pair_item(name, c.reduced, pair, plan_row, *end, condition=c.label) for c, pair in pairs]
         return items, instances_hash([pair for _, pair in pairs])
 
-    return run_experiment(
-        session,
-        "hard-tiers",
-        "Hard tiers",
-        TEXT,
-        work,
-        lambda rows, names: (_table(rows), _failures(rows)),
-        settings={"oracle": str(session.grid), "time limit [s]": TIME_LIMIT},
-    )
+    settings = {"oracle": str(session.grid), "time limit [s]": TIME_LIMIT}
+    return run_experiment(session, "hard-tiers", "Hard tiers", TEXT, work, (_table, _failures), settings=settings)
 
 
-def _table(rows: list[Row]) -> Table:
+def _table(rows: list[Row], names: list[str]) -> Table:
     measured = [row for row in rows if "solved" in row]
     found = tables.grouped(measured, "object", "tier")
     groups = {(n, tier): found.get((n, tier), []) for n in dict.fromkeys(n for n, _ in found) for tier in TIERS}
@@ -169,7 +162,7 @@ def _table(rows: list[Row]) -> Table:
     )
 
 
-def _failures(rows: list[Row]) -> Table:
+def _failures(rows: list[Row], names: list[str]) -> Table:
     bad = [row for row in rows if solvable(row) and not row["solved"]]
     columns = {"pair": "pair", "oracle N": "minimum", "status": "status", "seconds": "seconds"}
     return tables.listing("Solvable instances without a plan", bad, columns)

@@ -32,11 +32,6 @@ METHODS = (("ours", None), *((name, k) for name in ("ours, threshold", "paper's 
 """Planners and their K_top."""
 
 
-def threshold_recipe(k_top: int) -> Recipe:
-    """Return our refiner with the paper's acceptance: the cheapest of `k_top` candidates that passes `h`."""
-    return Recipe(NlpRefiner(), batches=(k_top,), verified=k_top, fallback=0, check="threshold")
-
-
 def run_multi_step(session: Session) -> Report:
     """Measure S.T., S.H., length, time, and N against the oracle's."""
 
@@ -45,7 +40,9 @@ def run_multi_step(session: Session) -> Report:
         chosen = session.chosen(name, problem, oracle, {"any": PAIRS[session.quick]}, 20)
         paper, end = replace(problem, preset="paper"), (session.seed, TIME_LIMIT)
         planners: list[tuple[str, int | None, RegraspProblem, Recipe]] = [("ours", None, problem, RECIPES["ipopt"]())]
-        planners += [("ours, threshold", k, problem, threshold_recipe(k)) for k in K_TOP]
+        for k in K_TOP:  # the paper's acceptance: the cheapest candidate that passes `h`
+            recipe = Recipe(NlpRefiner(), batches=(k,), verified=k, fallback=0, check="threshold")
+            planners.append(("ours, threshold", k, problem, recipe))
         compared = [("paper's method", k, paper, paper_recipe(k)) for k in K_TOP]
         items = [
             pair_item(name, used, pair, plan_row, recipe, *end, label=f"/{planner}/{k}", planner=planner, k_top=k)
@@ -54,16 +51,9 @@ def run_multi_step(session: Session) -> Report:
         ]
         return items, instances_hash(chosen)
 
-    return run_experiment(
-        session,
-        "multi-step",
-        "Multi-step search",
-        TEXT,
-        work,
-        lambda rows, names: (_table(rows, names), _oracle_table(rows, names), _failures(rows)),
-        figures=_figures,
-        settings={"oracle": str(session.grid), "time limit [s]": TIME_LIMIT},
-    )
+    settings = {"oracle": str(session.grid), "time limit [s]": TIME_LIMIT}
+    heading, made = ("multi-step", "Multi-step search", TEXT), (_table, _oracle_table, _failures)
+    return run_experiment(session, *heading, work, made, figures=_figures, settings=settings)
 
 
 def _ours(rows: list[Row], names: list[str]) -> dict[Hashable, list[Row]]:
@@ -118,7 +108,7 @@ def _oracle_table(rows: list[Row], names: list[str]) -> Table:
     )
 
 
-def _failures(rows: list[Row]) -> Table:
+def _failures(rows: list[Row], names: list[str]) -> Table:
     bad = [
         row
         for row in rows

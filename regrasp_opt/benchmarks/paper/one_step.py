@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -74,7 +75,9 @@ def _run(session: Session, *, unseen: bool) -> Report:
         oracle = session.oracle(name, problem)
         chosen = session.chosen(name, problem, oracle, {"1": PAIRS[session.quick]}, 10)
         if unseen:
-            problem = _with_unseen_grasps(problem)
+            effector, count = problem.workcell.arm.end_effector, len(problem.grasps)
+            grasps = sample_grasps(problem.object, effector, count, seed=UNSEEN_SEED, exclude=problem.grasps)
+            problem = RegraspProblem.load(problem.object, problem.workcell, grasps=grasps, model=problem.model_folder)
             oracle = session.oracle(f"{name}, unseen grasps", problem, session.coarse_grid)
         truth[name] = oracle
         items: list[Item] = []
@@ -88,22 +91,13 @@ def _run(session: Session, *, unseen: bool) -> Report:
                 items.append(pair_item(name, tested, pair, *arguments, label=f"/{method}", method=method))
         return items, instances_hash(chosen)
 
-    return run_experiment(
-        session,
-        "unseen" if unseen else "one-step",
-        "One intermediate pose, unseen grasps" if unseen else "One intermediate pose",
-        TEXT,
-        work,
-        lambda rows, names: (_table(rows, unseen), _truth_table(truth, rows)),
-        figures=lambda rows, names: [Figure(f"Intermediate poses for one pair: {n}", _figure(n, rows)) for n in names],
-        settings={"starts per placement": PER_PLACEMENT},
-    )
+    def figures(rows: list[Row], names: list[str]) -> list[Figure]:
+        return [Figure(f"Intermediate poses for one pair: {name}", _figure(name, rows)) for name in names]
 
-
-def _with_unseen_grasps(problem: RegraspProblem) -> RegraspProblem:
-    effector, count = problem.workcell.arm.end_effector, len(problem.grasps)
-    unseen = sample_grasps(problem.object, effector, count, seed=UNSEEN_SEED, exclude=problem.grasps)
-    return RegraspProblem.load(problem.object, problem.workcell, grasps=unseen, model=problem.model_folder)
+    heading = ("unseen", "One intermediate pose, unseen grasps") if unseen else ("one-step", "One intermediate pose")
+    made = partial(_table, unseen=unseen), partial(_truth_table, truth)
+    settings = {"starts per placement": PER_PLACEMENT}
+    return run_experiment(session, *heading, TEXT, work, made, figures=figures, settings=settings)
 
 
 def _grid_rows(problem: RegraspProblem, instance: Instance, oracle: Oracle, pictured: bool) -> list[Row]:
@@ -154,7 +148,7 @@ def _pose_rows(placements: IntArray, xi: FloatArray, valid: BoolArray) -> list[R
     ]
 
 
-def _table(rows: list[Row], unseen: bool) -> Table:
+def _table(rows: list[Row], names: list[str], unseen: bool) -> Table:
     measured = [row for row in rows if "sv" in row]
     solvable = {row["pair"] for row in rows if row.get("share", 0.0) > 0}
     methods = UNSEEN_METHODS if unseen else tuple(METHODS)
@@ -178,7 +172,7 @@ def _table(rows: list[Row], unseen: bool) -> Table:
     )
 
 
-def _truth_table(truth: dict[str, Oracle], rows: list[Row]) -> Table:
+def _truth_table(truth: dict[str, Oracle], rows: list[Row], names: list[str]) -> Table:
     def least(here: list[Row]) -> float | None:
         return percent(sorted(tables.values(here, "share"))[:1])
 
@@ -210,18 +204,17 @@ def _figure(name: str, rows: list[Row]) -> go.Figure:
     for column, method in enumerate(methods, start=1):
         poses = [r for r in rows if r.get("object") == name and r.get("method") == method and "x" in r]
         for valid, colour in ((True, "#0072b2"), (False, "#d55e00")):
-            figure.add_trace(_arrows([r for r in poses if r["valid"] is valid], colour), row=1, col=column)
+            here = [r for r in poses if r["valid"] is valid]
+            angles = [90 - np.degrees(r["yaw"]) for r in here]
+            arrows = go.Scatter(
+                x=[r["x"] for r in here],
+                y=[r["y"] for r in here],
+                mode="markers",
+                marker={"symbol": "arrow", "size": 8, "angle": angles, "color": colour},
+                text=[f"placement {r['placement']}" for r in here],
+                hoverinfo="text",
+            )
+            figure.add_trace(arrows, row=1, col=column)
     figure.update_yaxes(scaleanchor="x")
     figure.update_layout(showlegend=False)
     return tables.labelled(figure, "x [m]", "", 360)
-
-
-def _arrows(poses: list[Row], colour: str) -> go.Scatter:
-    return go.Scatter(
-        x=[r["x"] for r in poses],
-        y=[r["y"] for r in poses],
-        mode="markers",
-        marker={"symbol": "arrow", "size": 8, "angle": [90 - np.degrees(r["yaw"]) for r in poses], "color": colour},
-        text=[f"placement {r['placement']}" for r in poses],
-        hoverinfo="text",
-    )
