@@ -15,8 +15,7 @@ from scipy.special import expit
 from regrasp_opt.connectivity import BLOCKED, SequenceObjective, sequence_cost
 from regrasp_opt.connectivity.costs import pair_weights
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
-from regrasp_opt.energy.activations import TorchNetwork, activate_with_slope
-from regrasp_opt.energy.network import evaluate
+from regrasp_opt.energy.network import TorchNetwork, activate_with_slope, evaluate
 from regrasp_opt.errors import OptionError
 
 if TYPE_CHECKING:

@@ -20,14 +20,8 @@ from regrasp_opt.connectivity.casadi_chain import Chain, cost_of_scores, pair_sc
 from regrasp_opt.connectivity.costs import CostOptions
 from regrasp_opt.connectivity.objective import BLOCKED
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
-from regrasp_opt.energy.casadi_blocks import (
-    FixedEnergy,
-    FreeEnergy,
-    PartlyKnownEnergy,
-    PoseEnergy,
-    full_pose_energy,
-    planar_energy,
-)
+from regrasp_opt.energy import casadi_blocks as blocks
+from regrasp_opt.energy.casadi_blocks import PoseEnergy, planar_energy
 from regrasp_opt.energy.casadi_energy import Blas, CasadiEnergy
 from regrasp_opt.energy.casadi_function import by_adjoint, by_jacobian
 from regrasp_opt.energy.model import GraspEnergy, PlanarLayer
@@ -141,13 +135,13 @@ class ConnectivityFunctions:
     def _end(self, name: str, end: Any, free: bool) -> PoseEnergy:
         """Return a fixed end, made an input where it is one; a free one counts among the variables."""
         if not isinstance(end, str):
-            return FixedEnergy(ca.MX(ca.DM(np.asarray(end)[self._ids])))
+            return blocks.FixedEnergy(ca.MX(ca.DM(np.asarray(end)[self._ids])))
         symbol = self._inputs[name] = ca.MX.sym(name, self._count)
         if not free:
-            return FixedEnergy(symbol)
+            return blocks.FixedEnergy(symbol)
         own = {name: self._count}
         self._spans = {**own, **self._spans} if name == "start" else {**self._spans, **own}
-        return FreeEnergy(symbol, self._ids)
+        return blocks.FreeEnergy(symbol, self._ids)
 
     def _plain(self, name: str, output: str, value: Any) -> Any:
         """Return a function without derivatives of its own: the truncated cost has no useful ones."""
@@ -191,7 +185,7 @@ class ConnectivityFunctions:
             return poses
         known = zip(poses, self._blocked[:, ids], strict=True)
         return [
-            PartlyKnownEnergy(pose, ca.MX(ca.DM(row.astype(np.float64))), BLOCKED) if row.any() else pose
+            blocks.PartlyKnownEnergy(pose, ca.MX(ca.DM(row.astype(np.float64))), BLOCKED) if row.any() else pose
             for pose, row in known
         ]
 
@@ -202,12 +196,12 @@ class ConnectivityFunctions:
         return {name: slice(*edge) for name, edge in zip(self._spans, edges, strict=True)}
 
 
-def _interleaved(blocks: list[Any]) -> Any:
+def _interleaved(parts: list[Any]) -> Any:
     """Return the rows of equal blocks (k, n) one after the other: first rows, second rows, and so on."""
-    if not blocks:
+    if not parts:
         return ca.MX(0, 0)
-    order = np.arange(blocks[0].shape[0] * len(blocks)).reshape(len(blocks), -1).T.ravel()
-    return ca.vertcat(*blocks)[order.tolist(), :]
+    order = np.arange(parts[0].shape[0] * len(parts)).reshape(len(parts), -1).T.ravel()
+    return ca.vertcat(*parts)[order.tolist(), :]
 
 
 def planar_functions(
@@ -233,7 +227,7 @@ def pose_functions(
     def make(ids: IntArray, tangents: bool) -> list[PoseEnergy]:
         expressions = CasadiEnergy(energy.model, len(ids), blas)
         parts = ca.horzsplit(T, 4)
-        return [full_pose_energy(expressions, energy, part, ids, tangents=tangents) for part in parts]
+        return [blocks.full_pose_energy(expressions, energy, part, ids, tangents=tangents) for part in parts]
 
     def columns(rows: Any) -> Any:
         return ca.horzcat(*ca.vertsplit(rows, 4))
@@ -260,7 +254,7 @@ def parametric_functions(
         poses = [planar_energy(energy, layer, xi[:, i], tangents=tangents) for i, layer in enumerate(layers)]
         if not blocking:
             return poses
-        return [PartlyKnownEnergy(pose, inputs["blocked"][:, i], BLOCKED) for i, pose in enumerate(poses)]
+        return [blocks.PartlyKnownEnergy(pose, inputs["blocked"][:, i], BLOCKED) for i, pose in enumerate(poses)]
 
     return ConnectivityFunctions(_planar(inputs, make), energy.count, options, ChainEnds(INPUT, INPUT), free_ends=False)
 

@@ -135,9 +135,9 @@ class _Blocked:
 
 @lru_cache(maxsize=8)
 def _passes(energy: CasadiEnergy, size: int) -> tuple[Any, Any, Any]:
-    """Return value, gradient and second derivatives of `size` grasps as functions of (layer (H, 3 size + 2), xi, weights).
+    """Return value, gradient and second derivatives of `size` grasps, built once for the blocks of an energy.
 
-    They are built once for the blocks of an energy.
+    They are functions of (layer numbers (H, 3 size + 2), xi, weights).
     """
     block = CasadiEnergy(energy.model, size, energy.blas)
     numbers, xi, w = ca.MX.sym("layer", energy.model.hidden, 3 * size + 2), ca.MX.sym("xi", 3), ca.MX.sym("w", size)

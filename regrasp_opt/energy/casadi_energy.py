@@ -17,9 +17,8 @@ import casadi as ca
 import numpy as np
 
 from regrasp_opt.conventions import IntArray
-from regrasp_opt.energy.activations import Activation, casadi_activation
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy, PlanarLayer
-from regrasp_opt.energy.network import evaluate
+from regrasp_opt.energy.network import Activation, casadi_activation, evaluate
 
 Blas = Literal["classic", "reference"]
 """CasADi's matrix products: through BLAS, or CasADi's own loops, whose generated C needs no library."""

@@ -14,10 +14,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from regrasp_opt.energy.activations import Activation
 from regrasp_opt.energy.casadi_energy import Blas, CasadiEnergy
 from regrasp_opt.energy.model import EnergyModel, GraspEnergy
-from regrasp_opt.energy.network import evaluate
+from regrasp_opt.energy.network import Activation, evaluate
 from regrasp_opt.errors import ModelError
 from regrasp_opt.files import atomic_path
 

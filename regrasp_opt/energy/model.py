@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from regrasp_opt.conventions import FloatArray
-from regrasp_opt.energy.activations import Activation, activate
 from regrasp_opt.energy.features import FeatureSet, InputWeights, input_weights, with_tcp_weights
-from regrasp_opt.energy.network import evaluate
+from regrasp_opt.energy.network import Activation, activate, evaluate
 from regrasp_opt.files import content_hash
 from regrasp_opt.geometry.planar_poses import PlanarPoses
 from regrasp_opt.grasps import GraspSet

@@ -10,9 +10,9 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
-from regrasp_opt.energy.activations import ACTIVATIONS
 from regrasp_opt.energy.features import FEATURE_SETS, feature_count
 from regrasp_opt.energy.model import EnergyModel
+from regrasp_opt.energy.network import ACTIVATIONS
 from regrasp_opt.errors import ModelError
 from regrasp_opt.files import atomic_path
 

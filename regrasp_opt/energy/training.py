@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from regrasp_opt.conventions import BoolArray, FloatArray
-from regrasp_opt.energy.activations import ACTIVATIONS, Activation, TorchNetwork
 from regrasp_opt.energy.features import FEATURE_SETS, FeatureSet
 from regrasp_opt.energy.model import EnergyModel
-from regrasp_opt.energy.network import evaluate
+from regrasp_opt.energy.network import ACTIVATIONS, Activation, TorchNetwork, evaluate
 from regrasp_opt.errors import ModelError, OptionError
 from regrasp_opt.threads import one_torch_thread
 

@@ -138,24 +138,22 @@ def _between_contacts(
     """
     cosine = 1.0 / np.hypot(1.0, FRICTION)
     found: list[tuple[FloatArray, float, int]] = []
-    turned: list[tuple[FloatArray, int]] = []
-    for k, (distance, normals) in enumerate(_crossings(surface, T, depth)):
-        facing = normals @ T[k, :3, 1]
-        pair = _central_pair(distance, facing, cosine, widest)
-        if pair is not None:
-            found.append((_centered(T[k], distance, pair), float(distance[pair[1]] - distance[pair[0]]), k))
-            continue
-        pair = _central_pair(distance, facing, LOOSE, np.inf)
-        if pair is not None:
-            before, direction = _centered(T[k], distance, pair), normals[pair[1]] - normals[pair[0]]
-            pose = _turned(before, 1, direction / np.linalg.norm(direction))
-            pose[:3, 3] = before[:3, 3] + depth * (before[:3, 2] - pose[:3, 2])  # about the middle of its contacts
-            turned.append((pose, k))
-    again = np.array([pose for pose, _ in turned]).reshape(-1, 4, 4)
-    for (pose, k), (distance, normals) in zip(turned, _crossings(surface, again, depth), strict=True):
-        pair = _central_pair(distance, normals @ pose[:3, 1], cosine, widest)
-        if pair is not None:
-            found.append((_centered(pose, distance, pair), float(distance[pair[1]] - distance[pair[0]]), k))
+    tried = list(enumerate(T))
+    for worth in (LOOSE, np.inf):
+        poses, turned = np.array([pose for _, pose in tried]).reshape(-1, 4, 4), []
+        for (k, pose), (distance, normals) in zip(tried, _crossings(surface, poses, depth), strict=True):
+            facing = normals @ pose[:3, 1]
+            pair = _central_pair(distance, facing, cosine, widest)
+            if pair is not None:
+                found.append((_centered(pose, distance, pair), float(distance[pair[1]] - distance[pair[0]]), k))
+                continue
+            pair = _central_pair(distance, facing, worth, np.inf)
+            if pair is not None:  # turned about the middle of its contacts
+                before, direction = _centered(pose, distance, pair), normals[pair[1]] - normals[pair[0]]
+                after = _turned(before, 1, direction / np.linalg.norm(direction))
+                after[:3, 3] = before[:3, 3] + depth * (before[:3, 2] - after[:3, 2])
+                turned.append((k, after))
+        tried = turned
     poses = np.array([pose for pose, _, _ in found]).reshape(-1, 4, 4)
     contact = np.array([width for _, width, _ in found], dtype=np.float64)
     return poses, contact, np.array([k for _, _, k in found], dtype=np.int64)

@@ -61,39 +61,18 @@ def sample_grasps(
 ) -> GraspSet:
     """Return up to `count` grasps of the object, spread over its surface and over approach directions.
 
-    Grasps at which the gripper stays above the table in some stable placement come first, and each placement gets its
-    share of them.
+    Grasps at which the gripper stays above the table, by the `clearance` of the workcell [m], in some stable placement
+    come first, and each placement gets its share of them. A grasp and its mirror image (half a turn about the approach)
+    are different grasps to an arm, and both may occur. The same arguments give the same set, which is disjoint from
+    `exclude`; fewer than `count` come back where sampling finds no more.
 
-    A grasp and its mirror image (half a turn about the approach) are different grasps to an arm, and both may
-    occur. The same arguments give the same set. Fewer than `count` come back where sampling finds no more.
-
-    Parameters
-    ----------
-    model : ObjectModel
-        The object.
-    end_effector : EndEffector
-        Decides between antipodal and suction sampling.
-    count : int
-        Number of grasps asked for, at least 1.
-    seed : int
-        Seed of the sampling.
-    exclude : GraspSet, optional
-        Grasps that must not come again; the result is disjoint from them.
-    clearance : float
-        Least distance of the gripper to the table [m], as in the workcell.
-
-    Returns
-    -------
-    GraspSet
-        TCP poses in the object frame: the gripper open to ``width + 2 * pre_opening``, or closed to
-        ``width + 2 * CONTACT_TOLERANCE``, is clear of the object.
+    The gripper open to ``width + 2 * pre_opening``, or closed to ``width + 2 * CONTACT_TOLERANCE``, is clear of the
+    object.
 
     Raises
     ------
-    GraspError
-        If no grasp of the end-effector fits the object.
-    OptionError
-        If `count` is less than 1.
+    GraspError, OptionError
+        If no grasp of the end-effector fits the object, or `count` is less than 1.
     """
     if count < 1:
         raise OptionError(f"count is {count}; ask for at least one grasp")

@@ -21,6 +21,12 @@ def mask(size, *ids):
     return out
 
 
+def least(oracle, start, goal):
+    """Return the fewest regrasps between two poses, or None."""
+    found = oracle.minimum_table(np.stack([start, goal]))[0, 1]
+    return int(found) if np.isfinite(found) else None
+
+
 def brute_force(feasible, start, goal):
     """Breadth-first search over poses: the number of intermediate poses, or None."""
     frontier, seen, steps = [start], [False] * len(feasible), 0
@@ -38,15 +44,15 @@ def brute_force(feasible, start, goal):
 
 def test_a_chain_of_grasps_needs_one_regrasp_for_each_link():
     chain = oracle_of([[1, 1, 0, 0], [0, 1, 1, 0], [0, 0, 1, 1]])
-    assert [chain.minimum_regrasps(mask(4, 0), mask(4, g)) for g in range(4)] == [0, 1, 2, 3]
+    assert [least(chain, mask(4, 0), mask(4, g)) for g in range(4)] == [0, 1, 2, 3]
 
 
 def test_grasps_that_no_pose_joins_cannot_be_exchanged():
-    assert oracle_of([[1, 0], [0, 1]]).minimum_regrasps(mask(2, 0), mask(2, 1)) is None
+    assert least(oracle_of([[1, 0], [0, 1]]), mask(2, 0), mask(2, 1)) is None
 
 
 def test_a_grasp_that_is_feasible_nowhere_on_the_grid_still_moves_the_object_directly():
-    assert oracle_of([[1, 0]]).minimum_regrasps(mask(2, 1), mask(2, 1)) == 0
+    assert least(oracle_of([[1, 0]]), mask(2, 1), mask(2, 1)) == 0
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -61,7 +67,6 @@ def test_minimum_agrees_with_search_over_poses(seed):
         for j, goal in enumerate(ends):
             expected = brute_force(feasible, start, goal) if start.any() and goal.any() else None
             found.add(expected)
-            assert oracle.minimum_regrasps(start, goal) == expected
             assert table[i, j] == (np.inf if expected is None else expected)
             path = fewest_poses(feasible, start, goal)
             assert (None if path is None else len(path)) == expected

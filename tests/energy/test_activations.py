@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from derivatives import assert_derivative
 
-from regrasp_opt.energy.activations import ACTIVATIONS, activate, casadi_activation
+from regrasp_opt.energy.network import ACTIVATIONS, activate, casadi_activation
 
 
 def _functions(name):

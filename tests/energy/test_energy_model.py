@@ -7,11 +7,11 @@ from derivatives import assert_derivative
 from transforms import random_transforms
 
 from regrasp_opt.conventions import planar_transform
-from regrasp_opt.energy.activations import ACTIVATIONS, activate
 from regrasp_opt.energy.casadi_energy import CasadiEnergy
 from regrasp_opt.energy.export import grasp_function
 from regrasp_opt.energy.features import pair_features
 from regrasp_opt.energy.model import GraspEnergy
+from regrasp_opt.energy.network import ACTIVATIONS, activate
 from regrasp_opt.geometry.planar_poses import PlanarPoses
 
 

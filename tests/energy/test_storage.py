@@ -11,8 +11,8 @@ import pytest
 from safetensors.numpy import load_file, save_file
 from transforms import random_transforms
 
-from regrasp_opt.energy.activations import ACTIVATIONS
 from regrasp_opt.energy.export import EXPORTERS, SUFFIXES
+from regrasp_opt.energy.network import ACTIVATIONS
 from regrasp_opt.energy.storage import load_energy, save_energy
 from regrasp_opt.errors import ModelError
 

@@ -173,4 +173,5 @@ def _low_energy(problem: RegraspProblem, instance: Instance, kept: list[Candidat
 
 def minimum_on_grid(problem: RegraspProblem, oracle: Oracle, instance: Instance) -> int | None:
     """Return the fewest regrasps that the grid of `problem` needs, or None."""
-    return oracle.minimum_regrasps(*(problem.feasible_grasps(T) for T in (instance.start, instance.goal)))
+    least = oracle.minimum_table(np.array([problem.feasible_grasps(T) for T in instance.ends]))[0, 1]
+    return int(least) if np.isfinite(least) else None

@@ -75,13 +75,11 @@ class Oracle:
         neighbours = (reached.T @ reached) > 0
         return np.asarray(shortest_path(neighbours.astype(np.float64), directed=False, unweighted=True))
 
-    def minimum_regrasps(self, start: BoolArray, goal: BoolArray) -> int | None:
-        """Return the fewest intermediate grid poses between feasible grasps `start` and `goal` (G,); None: no plan."""
-        least = float(self.changes[np.ix_(start, goal)].min(initial=np.inf))
-        return int(least) if np.isfinite(least) else None
-
     def minimum_table(self, feasible: BoolArray) -> FloatArray:
-        """Return `minimum_regrasps` (P, P) between all pairs of poses with `feasible` (P, G) grasps, or infinity."""
+        """Return the fewest regrasps (P, P) between all pairs of poses with `feasible` (P, G) grasps, or infinity.
+
+        Infinity means that the grid holds no plan.
+        """
         rows = feasible.astype(np.float32)
         table = np.full((len(rows), len(rows)), np.inf)
         finite = self.changes[np.isfinite(self.changes)]

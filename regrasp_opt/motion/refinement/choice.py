@@ -35,6 +35,10 @@ class States(NamedTuple):
         return States(*(part[mask] for part in self))
 
 
+Layers = tuple[States, States]
+"""States at pick and at place of one transition."""
+
+
 def states_at(checker: FeasibilityChecker, T: FloatArray, grasp_ids: IntArray) -> States:
     """Return all free configurations of `grasp_ids` (K,) at object pose `T` (4, 4)."""
     robot = checker.workcell.arm.robot
@@ -46,7 +50,7 @@ def states_at(checker: FeasibilityChecker, T: FloatArray, grasp_ids: IntArray) -
 
 
 def best_choices(
-    layers: Sequence[tuple[States, States]],
+    layers: Sequence[Layers],
     minimise: Measure,
     bounds: MeasureBounds,
     home: FloatArray | None = None,
@@ -66,14 +70,14 @@ def best_choices(
         return [] if best is None else [best]
     others = []
     for i, grasp_id in enumerate(best.grasp_ids):
-        without = [tuple(s.where(s.grasp_ids != grasp_id) for s in pair) for pair in layers[i : i + 1]]
-        other = _best([*layers[:i], *without, *layers[i + 1 :]], minimise, home, near)  # type: ignore[list-item]
+        pick, place = (s.where(s.grasp_ids != grasp_id) for s in layers[i])
+        other = _best([*layers[:i], (pick, place), *layers[i + 1 :]], minimise, home, near)
         others += [] if other is None else [other]
     others.sort(key=lambda choice: travel(choice.q.reshape(-1, choice.q.shape[-1]), home))
     return [best, *others][:count]
 
 
-def unreachable(layers: Sequence[tuple[States, States]], bounds: MeasureBounds) -> str:
+def unreachable(layers: Sequence[Layers], bounds: MeasureBounds) -> str:
     """Return which transition has no state within `bounds` on clearance and manipulability, and by how much."""
     for i, pair in enumerate(layers):
         for name, unit in (("clearance", " m"), ("manipulability", "")):
@@ -88,19 +92,12 @@ def unreachable(layers: Sequence[tuple[States, States]], bounds: MeasureBounds) 
     return "no shared grasp keeps to the bounds on clearance and manipulability at once"
 
 
-def _best(
-    layers: Sequence[tuple[States, States]], minimise: Measure, home: FloatArray | None, near: Nearest
-) -> JointChoice | None:
-    if minimise != "travel":
-        layers = _kept(layers, minimise, _bottleneck(layers, minimise))
-    return _shortest(layers, home, near)
+def _kept(layers: Sequence[Layers], name: str, floor: float) -> list[Layers]:
+    kept = [[s.where(getattr(s, name) >= floor - ROUNDING) for s in pair] for pair in layers]
+    return [(pick, place) for pick, place in kept]
 
 
-def _kept(layers: Sequence[tuple[States, States]], name: str, floor: float) -> list[tuple[States, States]]:
-    return [tuple(s.where(getattr(s, name) >= floor - ROUNDING) for s in pair) for pair in layers]  # type: ignore[misc]
-
-
-def _bottleneck(layers: Sequence[tuple[States, States]], name: str) -> float:
+def _bottleneck(layers: Sequence[Layers], name: str) -> float:
     """Return the largest value that some grasp reaches at both ends of every transition."""
     best = np.inf
     for pair in layers:
@@ -110,7 +107,9 @@ def _bottleneck(layers: Sequence[tuple[States, States]], name: str) -> float:
     return float(best)
 
 
-def _shortest(layers: Sequence[tuple[States, States]], home: FloatArray | None, near: Nearest) -> JointChoice | None:
+def _best(layers: Sequence[Layers], minimise: Measure, home: FloatArray | None, near: Nearest) -> JointChoice | None:
+    if minimise != "travel":
+        layers = _kept(layers, minimise, _bottleneck(layers, minimise))
     states = [s for pair in layers for s in pair]
     if any(len(s.q) == 0 for s in states):
         return None

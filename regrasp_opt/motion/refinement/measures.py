@@ -71,19 +71,13 @@ class MeasureBounds:
 
     def tightened(self, measures: JointMeasures, names: Iterable[Measure]) -> MeasureBounds:
         """Return these bounds, those of `names` no looser than `measures`."""
-        values = {
-            name: (min if name == "travel" else max)(getattr(self, name), getattr(measures, name)) for name in names
-        }
-        return replace(self, **values)
+        tighter = {name: min if name == "travel" else max for name in names}
+        return replace(self, **{n: pick(getattr(self, n), getattr(measures, n)) for n, pick in tighter.items()})
 
     def shortfall(self, measures: JointMeasures) -> str:
         """Return the first bound that `measures` break and by how much, in words; empty where all hold."""
-        for name, unit, sign in (
-            ("travel", " rad", 1),
-            ("clearance", " m", -1),
-            ("manipulability", "", -1),
-            ("cost", "", 1),
-        ):
+        signs = ("travel", " rad", 1), ("clearance", " m", -1), ("manipulability", "", -1), ("cost", "", 1)
+        for name, unit, sign in signs:
             value, bound = getattr(measures, name), getattr(self, name)
             excess = sign * (value - bound)
             if excess > ROUNDING:

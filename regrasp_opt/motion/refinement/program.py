@@ -141,18 +141,14 @@ class JointProgram:
         where, bounds, problem = f"transition {i}, {('pick', 'place')[side]}", self._check.bounds, self._check.problem
         q, grasp_id = self._q[2 * i + side, :].T, self._choice.grasp_ids[i]
 
-        def demand(
-            what: str, rows: Any, low: Any, labels: list[str], scale: float, unit: str = "", high: float = np.inf
-        ) -> None:
+        def demand(what: str, rows: Any, low: Any, labels: list[str], scale: float, **rest: Any) -> None:
             named = [f"{where}: {label}" for label in labels]
-            self._nlp.add_constraint(
-                f"{where}: {what}", rows, lower=low, upper=high, labels=named, scale=scale, unit=unit
-            )
+            self._nlp.add_constraint(f"{where}: {what}", rows, lower=low, labels=named, scale=scale, **rest)
 
         T_object_flange = problem.grasps.T_object_tcp[grasp_id] @ problem.workcell.arm.end_effector.T_tcp_flange
         residual = self._functions.residual(q, T @ ca.MX(ca.DM(T_object_flange)))
-        demand("position", residual[:3], 0.0, ["the position of the grasp"] * 3, POSITION_UNIT, " m", high=0.0)
-        demand("direction", residual[3:], 0.0, ["the direction of the grasp"] * 3, 1.0, " rad", high=0.0)
+        demand("position", residual[:3], 0.0, ["the position of the grasp"] * 3, POSITION_UNIT, unit=" m", upper=0.0)
+        demand("direction", residual[3:], 0.0, ["the direction of the grasp"] * 3, 1.0, unit=" rad", upper=0.0)
 
         clearances, width = self._functions.clearances, problem.grasps.width[grasp_id]
         margin = np.array(clearances.function(self._choice.q[i, side], self._start[i + side], width)).ravel()
@@ -160,11 +156,11 @@ class JointProgram:
         values = clearances.function(q, T, width)
         names = [f"the clearance of {name}" for name in clearances.names]
         low = np.minimum(wanted, margin) if self._reached else np.where(wanted > 0, wanted, np.minimum(margin, 0.0))
-        demand("clearances", values, low, names, 1.0, " m")
+        demand("clearances", values, low, names, 1.0, unit=" m")
         if self._minimise == "clearance":
             measured = np.flatnonzero(clearances.measured).tolist()
             rows = (values[measured] + clearances.required[measured]) / CLEARANCE_UNIT - self._least
-            demand("least clearance", rows, 0.0, [names[k] for k in measured], CLEARANCE_UNIT, " m")
+            demand("least clearance", rows, 0.0, [names[k] for k in measured], CLEARANCE_UNIT, unit=" m")
 
         manipulability, label = self._functions.manipulability(q) / MANIPULABILITY_UNIT, ["the manipulability"]
         if bounds.manipulability > 0:
