@@ -227,7 +227,8 @@ def pose_functions(
     def make(ids: IntArray, tangents: bool) -> list[PoseEnergy]:
         expressions = CasadiEnergy(energy.model, len(ids), blas)
         parts = ca.horzsplit(T, 4)
-        return [blocks.full_pose_energy(expressions, energy, part, ids, tangents=tangents) for part in parts]
+        bottoms = [expressions.pose_bottom(energy, part, ids) for part in parts]
+        return [blocks.FullPoseEnergy(expressions, bottom, tangents) for bottom in bottoms]
 
     def columns(rows: Any) -> Any:
         return ca.horzcat(*ca.vertsplit(rows, 4))

@@ -18,7 +18,7 @@ import casadi as ca
 
 from regrasp_opt.conventions import IntArray
 from regrasp_opt.energy.casadi_energy import CasadiEnergy, PassedEnergy
-from regrasp_opt.energy.model import GraspEnergy, PlanarLayer
+from regrasp_opt.energy.model import PlanarLayer
 
 BLOCK = 256
 """Most grasps that are evaluated in one piece."""
@@ -42,13 +42,6 @@ def planar_energy(energy: CasadiEnergy, layer: PlanarLayer, xi: Any, *, tangents
     if energy.count <= BLOCK:
         return PassedEnergy(energy, energy.planar_bottom(layer, xi), tangents)
     return _Blocked(energy, layer, xi)
-
-
-def full_pose_energy(
-    energy: CasadiEnergy, source: GraspEnergy, T: Any, grasp_ids: IntArray, *, tangents: bool
-) -> PoseEnergy:
-    """Return the energies at a full pose `T` (4, 4), whose parameters are the 16 numbers of T, column by column."""
-    return _FullPose(energy, energy.pose_bottom(source, T, grasp_ids), tangents)
 
 
 class PartlyKnownEnergy:
@@ -101,15 +94,20 @@ class FreeEnergy:
         return self._spread.T, ca.MX(size, size)
 
 
-class _FullPose(PassedEnergy):
-    """The last row of a pose carries no energy: derivatives in it are structural zeros."""
+class FullPoseEnergy(PassedEnergy):
+    """The energies at a full pose (4, 4), whose parameters are its 16 numbers, column by column.
+
+    The last row of a pose carries no energy: derivatives in it are structural zeros.
+    """
 
     _spread = ca.DM(ca.Sparsity.triplet(16, 12, [4 * j + i for j in range(4) for i in range(3)], list(range(12))), 1)
 
     def gradient(self, weights: Any) -> Any:
+        """Return ``sum_g weights_g dE_g`` (16, 1)."""
         return self._spread @ super().gradient(weights)
 
     def second(self, weights: Any) -> tuple[Any, Any]:
+        """Return dE (G, 16) and ``sum_g weights_g d2E_g`` (16, 16)."""
         tangent, curvature = super().second(weights)
         return tangent @ self._spread.T, self._spread @ curvature @ self._spread.T
 

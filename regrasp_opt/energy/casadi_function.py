@@ -80,11 +80,7 @@ def by_adjoint(
     options = {**_ONLY_JACOBIAN, "custom_jacobian": second_derivative}
     back = ca.Function(f"adj1_{name}", [*symbols, seed], [*sides.values()], [*names, seeded], [*sides], options)
     # One direction back goes through the adjoint; more of them at once, and all forward ones, through the Jacobian.
-    both = {
-        "custom_jacobian": derivative,
-        "cache": {f"adj1_{name}": back},
-        "jac_penalty": 1.5 / max(value.numel(), 1),
-    }
+    both = {"custom_jacobian": derivative, "cache": {f"adj1_{name}": back}, "jac_penalty": 1.5 / max(value.numel(), 1)}
     return _function(name, inputs, output, value, jacobian, {**_CALLED, "enable_forward": False, **both})
 
 

@@ -99,10 +99,7 @@ def sample_points(surface: TriangleSurface, count: int, rng: np.random.Generator
 
 
 def cast_rays(
-    surface: TriangleSurface,
-    origins: FloatArray,
-    directions: FloatArray,
-    span: tuple[float, float] = (-np.inf, np.inf),
+    surface: TriangleSurface, origins: FloatArray, directions: FloatArray, span: tuple[float, float] = (-np.inf, np.inf)
 ) -> Hits:
     """Return every crossing of the lines through `origins` (R, 3) along unit `directions` (R, 3), by ray and triangle.
 

@@ -20,7 +20,7 @@ from regrasp_opt.benchmarks.harness.session import Session, pair_item, run_exper
 from regrasp_opt.benchmarks.harness.subjects import resident
 from regrasp_opt.connectivity import CostOptions, sequence_cost
 from regrasp_opt.connectivity.costs import COST_VARIANTS
-from regrasp_opt.conventions import FloatArray, planar_transform
+from regrasp_opt.conventions import planar_transform
 from regrasp_opt.energy.calibration import average_precision, best_threshold
 from regrasp_opt.planning import RegraspProblem
 
@@ -88,9 +88,13 @@ def compare_sums(problem: RegraspProblem, instance: Instance) -> list[Row]:
 
 
 def sweep(problem: RegraspProblem, instance: Instance) -> list[Row]:
-    """Return one row for each step and number of grasps."""
+    """Return one row for each step and number of grasps, from the goal to the start along planar parameters."""
     problem = resident(problem)
-    poses = sweep_poses(problem, instance)
+    number, start = planar_parameters(instance.start, problem.placement_poses)
+    _, goal = planar_parameters(instance.goal, problem.placement_poses)
+    turn = (start[2] - goal[2] + np.pi) % (2 * np.pi) - np.pi
+    xi = goal + np.linspace(0, 1, STEPS)[:, None] * np.array([*(start - goal)[:2], turn])
+    poses = planar_transform(xi) @ problem.placement_poses[number]
     T = np.concatenate([instance.start[None], poses, instance.goal[None]])
     energies = problem.energy(T)
     feasible = np.array([problem.feasible_grasps(pose) for pose in T])
@@ -116,15 +120,6 @@ def sweep(problem: RegraspProblem, instance: Instance) -> list[Row]:
             for step in range(STEPS)
         ]
     return rows
-
-
-def sweep_poses(problem: RegraspProblem, instance: Instance) -> FloatArray:
-    """Return the intermediate poses (STEPS, 4, 4), from the goal to the start along straight planar parameters."""
-    number, start = planar_parameters(instance.start, problem.placement_poses)
-    _, goal = planar_parameters(instance.goal, problem.placement_poses)
-    turn = (start[2] - goal[2] + np.pi) % (2 * np.pi) - np.pi
-    xi = goal + np.linspace(0, 1, STEPS)[:, None] * np.array([*(start - goal)[:2], turn])
-    return planar_transform(xi) @ problem.placement_poses[number]
 
 
 def _sum_table(rows: list[Row], names: list[str]) -> Table:

@@ -62,12 +62,7 @@ class FreeGraspProgram:
         self._solver = nlp.solver(OPTIONS)
 
     def solve(
-        self,
-        placements: PlanarPoses,
-        ends: FloatArray,
-        T_object_tcp: FloatArray,
-        width: FloatArray,
-        start: ChainSolve,
+        self, placements: PlanarPoses, ends: FloatArray, T_object_tcp: FloatArray, width: FloatArray, start: ChainSolve
     ) -> ChainSolve:
         """Solve from `start`.
 
