@@ -153,7 +153,9 @@ def dask_cluster(address: str | None) -> Iterator[None]:
     try:
         from distributed import Client
     except ImportError as error:
-        raise OptionError("Dask is not installed; install regrasp-opt[cluster], or leave --dask out") from error
+        raise OptionError(
+            "Dask is not installed; install the extra regrasp-opt[cluster], or leave --dask out"
+        ) from error
     try:
         client = Client(address, timeout="5s")
     except (OSError, ValueError) as error:
