@@ -33,6 +33,15 @@ RepairOption = Annotated[bool, typer.Option("--repair", help="Repair the mesh wh
 ThicknessOption = Annotated[float | None, typer.Option(help="Thickness for sheets in the mesh file \\[m].")]
 SeedOption = Annotated[int, typer.Option(help="Random seed; the same seed gives the same result.")]
 PlanArgument = Annotated[Path, typer.Argument(metavar="PLAN", help="A plan file.", show_default=False)]
+PlacementsOption = Annotated[
+    str | None, typer.Option(metavar="M,M,...", help="Placements that intermediate poses may have.")
+]
+SupportsOption = Annotated[
+    str | None, typer.Option(metavar="NAME,...", help="Supports that intermediate poses may be on.")
+]
+FromAboveOption = Annotated[
+    float | None, typer.Option(metavar="DEG", help="Grasp from above only, to within this angle \\[degrees].")
+]
 GraspFrameOption = Annotated[
     str | None,
     typer.Option(help="Hand frame of the grasp file: a name, or APPROACH,CLOSING,TCP such as z,x,0.1034."),
@@ -105,6 +114,31 @@ def of_object(
         xx, xy, xz, yy, yz, zz = _numbers("inertia", inertia, 6)
         rows = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
     return {**options, "center_of_mass": center, "inertia": rows}
+
+
+def search_filter(placements: str | None, supports: str | None, from_above: float | None) -> dict[str, Any]:
+    """Return the options of `solve_sequence` that say what a search may use.
+
+    Raises
+    ------
+    OptionError
+        If `placements` are not whole numbers, or the angle `from_above` is not between 0 and 180 degrees.
+    """
+    chosen: dict[str, Any] = {}
+    if placements is not None:
+        parts = placements.split(",")
+        if not all(part.strip().isdecimal() and part.strip().isascii() for part in parts):
+            raise OptionError(f"--placements is '{placements}'; give whole numbers with commas between them")
+        chosen["placements"] = [int(part) for part in parts]
+    if supports is not None:
+        chosen["supports"] = [name.strip() for name in supports.split(",")]
+    if from_above is not None:
+        if not 0 < from_above <= 180:
+            raise OptionError(f"--from-above is {from_above}; give an angle above 0, at most 180 degrees")
+        from regrasp_opt.planning.filters import from_above as grasps_from_above
+
+        chosen["grasps"] = grasps_from_above(math.radians(from_above))
+    return chosen
 
 
 def tolerance_of(text: str) -> tuple[float, float]:

@@ -76,6 +76,8 @@ def run_plan(
             explanation = plan.explain(remedies=explain)
     if as_json:
         more = {} if explanation is None else {"explanation": explanation.data()}
+        if search["alternatives"]:
+            more |= {"alternatives": [plan_summary(other) for other in plan.alternatives]}
         print(json.dumps(plan_summary(plan) | {"remarks": plan.remarks} | more, allow_nan=False))
     else:
         _print(plan, explanation, [path for path in (out, html) if path is not None])
@@ -129,6 +131,9 @@ def _print(plan: RegraspPlan, explanation: Explanation | None, written: list[Pat
             ends = [describe_pose(T, problem) for T in plan.poses[i : i + 2]]
             table.add_row(str(i), *ends, str(len(transition.grasp_ids)), clearance)
         console.print(table)
+    for number, other in enumerate(plan.alternatives, start=1):
+        through = ", ".join(describe_pose(T, problem) for T in other.poses[1:-1]) or "no other pose"
+        console.print(f"alternative {number}: J_seq {other.cost:.2f}, through {through}", markup=False, soft_wrap=True)
     for remark in plan.remarks:
         console.print(f"[bold]note[/]: {escape(remark)}", soft_wrap=True)
     for path in written:

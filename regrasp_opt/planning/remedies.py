@@ -96,7 +96,7 @@ class _Plans:
         for size in sizes if most else ():
             while self.poses.drawn < size and not self._late():
                 self.poses.grow(min(size, self.poses.drawn + PORTION))
-            path = next(self.poses.shortest_paths(start, goal, most), None)
+            path = next(self.poses.shortest_paths(start, goal, range(1, most + 1)), None)
             if path is not None:
                 return len(path.xi)
         return None
