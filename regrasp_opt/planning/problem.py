@@ -22,7 +22,7 @@ from regrasp_opt.planning.explanation import Explanation
 from regrasp_opt.planning.given_grasps import NEAR, Near, usable_grasps
 from regrasp_opt.planning.model_store import ENERGY_FILES, find_model, load_prepared_grasps
 from regrasp_opt.planning.problem_data import ProblemData
-from regrasp_opt.planning.rests import Rests, check_fixtures
+from regrasp_opt.planning.rests import check_rests
 from regrasp_opt.planning.sequence_nlp import sequence_nlp
 from regrasp_opt.scene import Workcell, as_obstacles, load_workcell
 from regrasp_opt.scene.collision_world import collision_at_home
@@ -118,12 +118,7 @@ class RegraspProblem(ProblemData):
             workcell = load_workcell(workcell, end_effector=end_effector)
         if grasps is None and workcell.robot.dof < LEAST_JOINTS:
             raise GraspError(short_arm(workcell))
-        if not len(Rests.of(body, workcell)):
-            raise GraspError(
-                f"'{body.name}' has no stable placement on a support of '{workcell.name}', so it cannot be planned; "
-                "check its shape and scale"
-            )
-        check_fixtures(body, workcell)
+        check_rests(body, workcell)
         file = Path(model) if model is not None and os.path.isfile(model) else None
         if file is not None:
             load_arm_energy(file, workcell)

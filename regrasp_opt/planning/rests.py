@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from regrasp_opt.conventions import FloatArray, IntArray, invert, planar_transform
-from regrasp_opt.errors import PoseError, WorkcellError
+from regrasp_opt.errors import GraspError, PoseError, WorkcellError
 from regrasp_opt.geometry.planar_poses import PlanarPoses
 from regrasp_opt.geometry.shapes import shape_geometry
 from regrasp_opt.geometry.solids import Solid, separation
@@ -159,8 +159,13 @@ class Rests(Sequence[Rest]):
         return np.column_stack([moved[:, :2], yaw]), error
 
 
-def check_fixtures(body: ObjectModel, cell: Workcell) -> None:
-    """Raise a WorkcellError where a fixture holds the object in a pose in which they overlap."""
+def check_rests(body: ObjectModel, cell: Workcell) -> None:
+    """Raise a GraspError where the object can stand nowhere, and a WorkcellError where it overlaps its own fixture."""
+    if not len(Rests.of(body, cell)):
+        raise GraspError(
+            f"'{body.name}' has no stable placement on a support of '{cell.name}', so it cannot be planned; check its "
+            "shape and scale"
+        )
     for fixture in cell.supports:
         for pose in fixture.poses if isinstance(fixture, Fixture) else ():
             if pose.object not in (None, body.name):

@@ -80,18 +80,16 @@ def solve_sequence(
     tolerance : (float, float)
         How far `start` and `goal` may be from rest: distance [m] and angle [rad].
     symmetry : bool
-        Goals that differ by a turn about the object's axis of symmetry count as equal, and the best is taken
-        (`regrasp_opt.planning.equivalents`).
+        Goals that differ by a turn about the object's axis of symmetry count as equal, and the best is taken.
     num_regrasps : int, optional
-        Exactly this number of intermediate poses, whatever `max_regrasps` is.
+        Exactly this number of intermediate poses, instead.
     placements, supports : iterables of int, and of str, optional
         Placements, and names of supports, that intermediate poses may have.
     grasps : (G,) bool, grasp numbers or callable, optional
-        Grasps that may be used. A callable is given tool poses (M, 4, 4) T_world_tcp and returns which of them may be
-        used (M,); `regrasp_opt.planning.filters.from_above` makes one.
+        Grasps that may be used; a callable says of tool poses (M, 4, 4) T_world_tcp which may be (`filters.from_above`).
     alternatives : int
-        How many further plans to look for, which differ in a support or placement, or in some transition share no
-        grasp with the others; they have at most one regrasp more. `RegraspPlan.alternatives` has those that were found.
+        Further plans to look for, with at most one regrasp more, which differ in a support or placement, or share no
+        grasp in some transition; they are in `RegraspPlan.alternatives`.
 
     Returns
     -------
@@ -108,31 +106,51 @@ def solve_sequence(
     ModelError
         If the refiner needs an energy, and a file is broken or none can be trained (`ProblemData.energy`).
     """
-    recipe = None if isinstance(refiner, str) and refiner == EXACT else as_recipe(refiner)
-    seed = as_seed(seed)
-    least = 0 if num_regrasps is None else _whole("num_regrasps", num_regrasps, MAX_REGRASPS)
-    most = _whole("max_regrasps", max_regrasps, MAX_REGRASPS) if num_regrasps is None else least
+    counts = _counts(max_regrasps, num_regrasps)
     others = Alternatives(_whole("alternatives", alternatives, MOST_ALTERNATIVES), accept)
+    how = options or CostOptions(), as_seed(seed), _clock(time_limit), others if alternatives else accept
+    recipe = None if isinstance(refiner, str) and refiner == EXACT else as_recipe(refiner)
+    with one_blas_thread():
+        problem = filtered(problem, placements, supports, grasps)
+        ends = _ends(problem, start, goal, how[2], as_tolerance(tolerance), symmetry=symmetry)
+        kind = _ExactSearch if recipe is None else Search
+        return others.of(_run(kind(problem, recipe or Recipe(LatticeRefiner()), ends, *how), counts))
+
+
+def _run(search: Search, counts: range) -> RegraspPlan:
+    for end, status in zip(search.ends, (Status.START_INFEASIBLE, Status.GOAL_INFEASIBLE), strict=True):
+        if not end.all().any():
+            _check_filter(search.problem, end)
+            return search.result(status)
+    return search.run(counts)
+
+
+def _clock(time_limit: float | None) -> Clock:
     if time_limit is not None and not time_limit > 0:
         raise OptionError(f"time_limit is {time_limit}; give a positive number of seconds")
-    tolerance = as_tolerance(tolerance)
-    with one_blas_thread():
-        clock, problem = Clock(time_limit), filtered(problem, placements, supports, grasps)
-        poses = (resting_end(T, name, problem, tolerance) for T, name in ((start, "start"), (goal, "goal")))
-        ends = [PoseFeasibility(problem.checker, T, given=given) for T, given in poses]
-        with clock.timed("ends"):
-            if symmetry:
-                ends[1] = equivalent_goals(problem, ends[0], ends[1], tolerance)
-            feasible = [end.all() for end in ends]
-        kind = _ExactSearch if recipe is None else Search
-        recipe, accepted = recipe or Recipe(LatticeRefiner()), others if alternatives else accept
-        search = kind(problem, recipe, ends, options or CostOptions(), seed, clock, accepted)
-        statuses = Status.START_INFEASIBLE, Status.GOAL_INFEASIBLE
-        for knowledge, end, status in zip(feasible, ends, statuses, strict=True):
-            if not knowledge.any():
-                _check_filter(problem, end)
-                return search.result(status)
-        return others.of(search.run(range(least, most + 1)))
+    return Clock(time_limit)
+
+
+def _counts(max_regrasps: int, num_regrasps: int | None) -> range:
+    """Return the numbers of regrasps to be tried."""
+    if num_regrasps is not None:
+        least = _whole("num_regrasps", num_regrasps, MAX_REGRASPS)
+        return range(least, least + 1)
+    return range(_whole("max_regrasps", max_regrasps, MAX_REGRASPS) + 1)
+
+
+def _ends(
+    problem: RegraspProblem, start: Any, goal: Any, clock: Clock, tolerance: tuple[float, float], *, symmetry: bool
+) -> list[PoseFeasibility]:
+    """Return what is known of both ends, whose grasps are checked here; equal goals count as one with `symmetry`."""
+    poses = (resting_end(T, name, problem, tolerance) for T, name in ((start, "start"), (goal, "goal")))
+    ends = [PoseFeasibility(problem.checker, T, given=given) for T, given in poses]
+    with clock.timed("ends"):
+        if symmetry:
+            ends[1] = equivalent_goals(problem, ends[0], ends[1], tolerance)
+        for end in ends:
+            end.all()
+    return ends
 
 
 def _whole(name: str, value: Any, most: int) -> int:

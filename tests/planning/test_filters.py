@@ -24,19 +24,24 @@ def tasks(problem):
 @pytest.mark.parametrize("refiner", ["ipopt", "lattice", "exact", "langevin-ipopt"])
 def test_placements_are_kept_to(problem, tasks, refiner):
     for start, goal, _ in tasks[:2]:
-        plan = solve_sequence(problem, start, goal, refiner, placements=[2, 4], max_regrasps=2)
-        assert plan.solved and {s.placement for s in plan.stations[1:-1]} <= {2, 4}
+        used = solve_sequence(problem, start, goal).placements.tolist()
+        plan = solve_sequence(problem, start, goal, refiner, placements=used)
+        assert plan.solved and set(plan.placements) <= set(used) and plan.num_regrasps == len(used)
         assert plan.problem is problem and plan.residuals().hold
+        others = set(range(len(problem.placements))) - set(used)
+        plan = solve_sequence(problem, start, goal, refiner, placements=others, max_regrasps=1)
+        assert not plan.solved or set(plan.placements) <= others
 
 
 @pytest.mark.parametrize("refiner", ["ipopt", "exact"])
 def test_masked_grasps_are_not_used(problem, tasks, refiner):
-    mask = np.arange(len(problem.grasps)) % 2 == 0
     for start, goal, _ in tasks:
+        shared = [set(t.grasp_ids.tolist()) for t in solve_sequence(problem, start, goal, refiner).transitions]
+        mask = np.isin(np.arange(len(problem.grasps)), [max(ids) for ids in shared])
         for grasps in (mask, np.flatnonzero(mask).tolist()):
             plan = solve_sequence(problem, start, goal, refiner, grasps=grasps)
-            if plan.solved:
-                assert all(mask[t.grasp_ids].all() for t in plan.transitions) and plan.residuals().hold
+            assert all(mask[t.grasp_ids].all() for t in plan.transitions)
+            assert not plan.solved or plan.residuals().hold
     assert plan.solved
 
 
