@@ -16,7 +16,7 @@ copyright = "the regrasp-opt developers"
 version = release = "0.1.0"
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "paper"]
 html_theme = "furo"
 html_title = "regrasp-opt"
 html_math_renderer = "mathml"

@@ -132,3 +132,13 @@ def test_constraints_are_exact_and_cover_the_dependencies():
     needed = re.findall(r'"([\w-]+)>=[\d.]+"', settings.split("dependencies = [", 1)[1])
     assert len(needed) > 20
     assert {re.sub(r"[-_.]+", "-", name).lower() for name in needed} <= pinned
+
+
+def test_the_conda_recipe_asks_for_the_same_versions():
+    recipe = (ROOT / ".ci" / "conda" / "recipe.yaml").read_text(encoding="utf-8")
+    run = recipe[recipe.index("  run:") : recipe.index("tests:")]
+    found = {other or name: low for name, low, other in re.findall(r"- ([\w.-]+) >=([\d.]+)(?: # (\w+))?", run)}
+    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    wanted = dict(re.findall(r'^    "([\w.-]+)>=([\d.]+)', project[: project.index("[project.optional")], re.M))
+    wanted["python"] = re.search(r'requires-python = ">=(.+)"', project)[1]
+    assert found == wanted
