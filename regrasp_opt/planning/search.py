@@ -86,7 +86,7 @@ def solve_sequence(
     placements, supports : iterables of int, and of str, optional
         Placements, and names of supports, that intermediate poses may have.
     grasps : (G,) bool, grasp numbers or callable, optional
-        Grasps that may be used; a callable says of tool poses (M, 4, 4) T_world_tcp which may be (`filters.from_above`).
+        Grasps that may be used; a callable says which tool poses (M, 4, 4) T_world_tcp may be (`filters.from_above`).
     alternatives : int
         Further plans to look for, with at most one regrasp more, which differ in a support or placement, or share no
         grasp in some transition; they are in `RegraspPlan.alternatives`.
