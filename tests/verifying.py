@@ -1,7 +1,7 @@
 """Plans and motions in memory, handed to the verifiers as what a file would hold, in cells changed by tests."""
 
 import numpy as np
-from oracles.files import Cell, Shape, Tool, read_urdf
+from oracles.files import Board, Cell, Nest, Shape, Tool, read_urdf
 from oracles.motions import MotionVerifier
 from oracles.plans import TOLERANCE, PlanVerifier
 
@@ -24,9 +24,19 @@ def pad_of(effector):
     return None if pad is None else np.array([pad.x, pad.z], dtype=float).T
 
 
+def support_of(support):
+    """Return a board or fixture of the package as one of the verifiers."""
+    if hasattr(support, "poses"):
+        held = [(support.T_world_support @ pose.T_support_object, pose.object) for pose in support.poses]
+        return Nest(support.name, [shape_of(shape) for shape in support.shapes], held)
+    T, space = np.array(support.T_world_support), {"x": support.workspace.x, "y": support.workspace.y}
+    T[:3, 3] += T[:3, :2] @ support.center
+    return Board(support.name, T, support.center, support.size, support.thickness, space)
+
+
 def cell_of(workcell):
     """Return a workcell of the package, perhaps changed in memory, as the verifiers would read it from its files."""
-    robot, effector, table = workcell.robot, workcell.end_effector, workcell.table
+    robot, effector = workcell.robot, workcell.end_effector
     fingers = [np.array([box.pose[:3, 3] - box.size / 2, box.pose[:3, 3] + box.size / 2]) for box in effector.finger]
     lengths = effector.tcp_offset, effector.pre_opening, effector.cup_radius, effector.max_opening
     near = workcell.clearance
@@ -35,10 +45,9 @@ def cell_of(workcell):
         T_world_base=workcell.T_world_base,
         robot=read_urdf(robot.urdf_path, robot.tip_frame, content=robot.urdf),
         tool=Tool(effector.kind, *lengths, [shape_of(shape) for shape in effector.body], fingers, pad_of(effector)),
-        table={name: getattr(table, name) for name in ("height", "center", "size", "thickness")},
+        supports=[support_of(support) for support in workcell.supports],
         obstacles=[shape_of(shape) for shape in workcell.obstacles],
         clearance={name: getattr(near, name) for name in ("arm", "gripper", "self_collision")},
-        workspace={"x": workcell.bounds.x, "y": workcell.bounds.y},
         ignored=set(robot.ignored),
     )
 
@@ -50,7 +59,8 @@ def plan_verifier(problem, tolerance=TOLERANCE):
 
 def body_verifier(body, workcell, tolerance=TOLERANCE):
     """Return a verifier of what is done with an object of the package in one of its workcells."""
-    return PlanVerifier(None, cell_of(workcell), (np.array(body.vertices), np.array(body.faces)), tolerance)
+    mesh = np.array(body.vertices), np.array(body.faces)
+    return PlanVerifier(None, cell_of(workcell), mesh, tolerance, body.name)
 
 
 class PlainCheck:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import sys
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import distribution
 from importlib.util import find_spec
 from pathlib import Path
@@ -99,6 +99,49 @@ class Tool:
 
 
 @dataclass
+class Board:
+    """A table, a shelf board or a tilted plate.
+
+    Attributes
+    ----------
+    T : (4, 4) array
+        Where the middle of its top is in the world, z along the outward normal.
+    center, size : (2,)
+        The middle of the top in the coordinates of its plane, and its edges [m].
+    space : dict
+        The workspace, low and high in ``x`` and ``y``, in the same coordinates [m].
+    friction : float
+        Tangent of the angle up to which it may be tilted.
+    """
+
+    name: str
+    T: np.ndarray
+    center: Any
+    size: Any
+    thickness: float
+    space: dict[str, Any]
+    friction: float = 0.5
+
+    def seen(self, points):
+        """Return world `points` (..., 3) in the coordinates of the plane, with their heights above it."""
+        return (points - self.T[:3, 3]) @ self.T[:3, :3] + [*self.center, 0.0]
+
+    @property
+    def bodies(self):
+        """The board itself in the world."""
+        return [Shape(self.name, "box", self.T @ frame((0, 0, -self.thickness / 2)), (*self.size, self.thickness))]
+
+
+@dataclass
+class Nest:
+    """A fixture: its bodies in the world, and for each pose (4, 4) in which it holds an object, which one or None."""
+
+    name: str
+    bodies: list[Shape]
+    poses: list[tuple[np.ndarray, str | None]]
+
+
+@dataclass
 class Cell:
     """A workcell file, with what it names."""
 
@@ -106,10 +149,9 @@ class Cell:
     T_world_base: np.ndarray
     robot: RobotFile
     tool: Tool
-    table: dict[str, Any]
+    supports: list[Board | Nest]
     obstacles: list[Shape]
     clearance: dict[str, float]
-    workspace: dict[str, Any]
     ignored: set[frozenset[str]] = field(default_factory=set)
 
 
@@ -118,8 +160,15 @@ def read_cell(reference):
     built_in = reference["source"] == "built-in"
     path = DATA / "workcells" / f"{reference['name']}.toml" if built_in else Path(reference["source"])
     content = _toml(path)
-    section = content["robot"]
-    model, ignored = section["model"], [*section.get("ignore_collisions", []), *_disabled(section, path.parent)]
+    if content["schema"] == 1:
+        section, tool = content["robot"], content["end_effector"]["model"]
+        model = section["model"]
+        supports = [_board({"name": "table", **content["table"], "workspace": content["workspace"]})]
+    else:
+        (section,) = content["arms"]
+        model, tool = section["robot"], section["end_effector"]
+        supports = [_support(part, path.parent) for part in content["supports"]]
+    ignored = [*section.get("ignore_collisions", []), *_disabled(section, path.parent)]
     if _bare(model):
         defaults = _toml(DATA / "robots" / model / f"{model}.toml")
         urdf = EXAMPLES / defaults["urdf"] if "urdf" in defaults else DATA / "robots" / model / f"{model}.urdf"
@@ -127,19 +176,17 @@ def read_cell(reference):
     else:
         urdf = path.parent / model
     packages = [path.parent / folder for folder in section.get("package_dirs", [])]
-    tool = reference.get("end_effector") or content["end_effector"]["model"]
+    tool = reference.get("end_effector") or tool
     tool_path = DATA / "end_effectors" / f"{tool}.toml" if _bare(tool) else path.parent / tool
-    table = {"height": 0.0, "thickness": 0.05, **content["table"]}
     added = [part for part in reference.get("obstacles", []) if part["added"]]
     return Cell(
         path,
         frame(section.get("position", (0, 0, 0)), section.get("rpy", (0, 0, 0))),
         read_urdf(urdf, section.get("tip"), packages, changes=section),
         read_tool(tool_path),
-        table,
+        supports,
         [_obstacle(part, path.parent) for part in [*content.get("obstacles", []), *added]],
         {"arm": 0.005, "gripper": 0.003, "self_collision": 0.0, **content.get("clearance", {})},
-        content["workspace"],
         {frozenset(pair) for pair in ignored},
     )
 
@@ -158,6 +205,26 @@ def _toml(path):
 
 def _bare(name):
     return "/" not in name and "\\" not in name and "." not in name
+
+
+def _support(part, folder):
+    if part.get("kind", "board") == "board":
+        return _board(part)
+    T = frame(part["position"], part.get("rpy", (0, 0, 0)))
+    bodies = [_obstacle(body, folder) for body in part.get("bodies", [])]
+    bodies = [replace(body, name=f"{part['name']} {body.name}", T=T @ body.T) for body in bodies]
+    poses = [(T @ frame(held["position"], held.get("rpy", (0, 0, 0))), held.get("object")) for held in part["poses"]]
+    return Nest(part["name"], bodies, poses)
+
+
+def _board(part):
+    """Return the board that turns about the middle of its top; without a workspace 5 cm, or a quarter, are kept."""
+    center, size = np.array(part["center"], dtype=float), np.array(part["size"], dtype=float)
+    T = frame((*center, part.get("height", 0.0)), part.get("rpy", (0, 0, 0)))
+    free = size / 2 - np.minimum(0.05, size / 4)
+    whole = dict(zip("xy", np.column_stack([center - free, center + free]), strict=True))
+    space, friction = part.get("workspace", whole), part.get("friction", 0.5)
+    return Board(part["name"], T, center, size, part.get("thickness", 0.05), space, friction)
 
 
 def _obstacle(part, folder):

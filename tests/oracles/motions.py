@@ -25,8 +25,8 @@ CONTINUITY = 1e-6
 """Largest jump between segments [rad, m, rad/s]."""
 MISS = 2e-6
 """Largest entry of the difference between two poses that should be one [m or 1]."""
-TABLE_CONTACT = 1.1e-3
-"""How far a held object may sink into the table where it is lifted or lowered [m]: as at rest, and 0.1 mm."""
+CONTACT = 1.1e-3
+"""How far a held object may sink into the support that it leaves, or is put on [m]: as at rest, and 0.1 mm."""
 JAW_CONTACT = 2e-3
 """Opening beyond the grasp's width from which on the fingers must be clear of the object [m]."""
 BETWEEN = 0.5
@@ -182,28 +182,28 @@ class MotionVerifier:
         """Return what comes too near, at how many samples, and how many samples there were."""
         world, width = self.world, grasp["width"]
         t, poses = self._sampled(content, segment, curve, grasp, step, turn)
-        xpos, xmat, tips = poses
+        xpos, xmat = poses
         opening = curve.jaw(t)
         moved = np.concatenate([[0.0], np.cumsum(self._moves(xpos, xmat))])
         hit, named = np.zeros(len(t), dtype=bool), {}
         clear = min(JAW_CONTACT, 2 * self.cell.tool.pre_opening)
-        resting = segment["phase"] in ("lift", "lower")
-        for a, b, required in self._chosen(segment):
+        for a, b, required in self._chosen(content, segment):
             closing = {world.bodies[a].part, world.bodies[b].part} == {"object", "open"}
             i = 0
             while i < len(t):
                 if closing and opening[i] < width + clear - 1e-9:
                     i += 1
                     continue
-                apart = self._distance(a, b, xpos[i], xmat[i], required + FAR) - BETWEEN * required
+                apart = self._distance(a, b, xpos[i], xmat[i], max(required, 0) + FAR) - (
+                    BETWEEN * required if required > 0 else required
+                )
                 if apart < -TOLERANCE:
                     hit[i] = True
-                    named[f"{world.bodies[a].name} meets {world.bodies[b].name}"] = None
+                    meets = "meets" if required >= 0 else "sinks into"
+                    named[f"{world.bodies[a].name} {meets} {world.bodies[b].name}"] = None
                     i += 1
                 else:
                     i = max(i + 1, int(np.searchsorted(moved, moved[i] + (apart + TOLERANCE) / 2)))
-        if resting:
-            hit |= self._in_table(tips, grasp, named)
         return sorted(named), int(hit.sum()), len(t)
 
     def _distance(self, a, b, xpos, xmat, most):
@@ -213,8 +213,8 @@ class MotionVerifier:
             world.data.geom_xpos[geom], world.data.geom_xmat[geom] = xpos[n], xmat[n]
         return world.distance(a, b, most)
 
-    def _chosen(self, segment):
-        """Return the pairs (a, b, least distance) that matter in a phase."""
+    def _chosen(self, content, segment):
+        """Return the pairs (a, b, least distance) that matter in a phase; below 0: how deep they may touch."""
         bodies, last = self.world.bodies, self.cell.robot.group[self.cell.robot.tip]
         held, phase = segment["phase"] in HOLDS, segment["phase"]
         for a, b, required in self._pairs:
@@ -229,15 +229,20 @@ class MotionVerifier:
                 if held and other.part == "arm" and other.group == last:
                     continue  # moves with it
             yield a, b, required
-        if held and phase == "transfer":
-            yield self.world.index["object"], self.world.index["table"], self.cell.clearance["gripper"]
+        if not held:
+            return
+        plan, leaves = content["plan"], segment["transition"] + (phase == "lower")
+        own = None if phase == "transfer" else self.plans.support_at(np.array(plan["poses"][leaves]))[0]
+        for n, body in enumerate(bodies):
+            if body.part == "support":
+                yield self.world.index["object"], n, -CONTACT if body.support == own else self.cell.clearance["gripper"]
 
     def _sampled(self, content, segment, curve, grasp, step, turn):
-        """Return dense times, and poses of all bodies and the TCP there."""
+        """Return dense times, and poses of all bodies there."""
         t = np.unique(np.concatenate([curve.dense(), np.linspace(0, curve.duration, curve.jaw_steps(step))]))
         while True:
             poses = self._poses(content, segment, curve, grasp, t)
-            move = self._moves(*poses[:2]) / step
+            move = self._moves(*poses) / step
             parts = np.maximum(1, np.ceil(np.maximum(move, self._turns(poses[1]) / turn) - 1e-6)).astype(int)
             if (parts == 1).all():
                 return t, poses
@@ -245,19 +250,18 @@ class MotionVerifier:
             t = np.concatenate([*pieces, t[-1:]])
 
     def _poses(self, content, segment, curve, grasp, t):
-        """Return positions (B, bodies, 3), rotations (B, bodies, 9) and TCP poses (B, 4, 4) at times `t` (B,)."""
+        """Return positions (B, bodies, 3) and rotations (B, bodies, 9) at times `t` (B,)."""
         world, geoms = self.world, self.world.geoms
         held, plan_poses = segment["phase"] in HOLDS, content["plan"]["poses"]
         T_tcp_object = np.linalg.inv(grasp["T_object_tcp"])
         there = np.array(plan_poses[segment["transition"] + (segment["phase"] in AFTER)])
-        count = len(t)
-        xpos, xmat, tips = np.empty((count, len(geoms), 3)), np.empty((count, len(geoms), 9)), np.empty((count, 4, 4))
+        xpos, xmat = np.empty((len(t), len(geoms), 3)), np.empty((len(t), len(geoms), 9))
         for n, (q, opening) in enumerate(zip(curve.at(t), curve.jaw(t), strict=True)):
             T = world.place(q, None, opening, opening)
             T[:3, 3] += self.cell.tool.tcp_offset * T[:3, 2]
             world.put("object", T @ T_tcp_object if held else there)
-            xpos[n], xmat[n], tips[n] = world.data.geom_xpos[geoms], world.data.geom_xmat[geoms], T
-        return xpos, xmat, tips
+            xpos[n], xmat[n] = world.data.geom_xpos[geoms], world.data.geom_xmat[geoms]
+        return xpos, xmat
 
     def _moves(self, xpos, xmat):
         """Return how far any corner of a body moves at most in each interval [m]."""
@@ -277,15 +281,6 @@ class MotionVerifier:
         R = xmat.reshape(*xmat.shape[:2], 3, 3)
         cosine = (np.einsum("bgij,bgij->bg", R[1:], R[:-1]) - 1) / 2
         return np.arccos(np.clip(cosine.min(axis=1), -1, 1))
-
-    def _in_table(self, tips, grasp, named):
-        """Return where (B,) the held object sinks into the table while it is lifted or lowered."""
-        T = tips @ np.linalg.inv(grasp["T_object_tcp"])
-        lowest = (T[:, 2, :3] @ self.plans.solid.vertices.T).min(axis=1) + T[:, 2, 3]
-        deep = lowest < self.cell.table["height"] - TABLE_CONTACT
-        if deep.any():
-            named["the object sinks into the table"] = None
-        return deep
 
 
 def largest_jump(content):

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from .contacts import hold_problem
-from .files import Cell, read_cell, read_object
+from .files import Board, Cell, read_cell, read_object
 from .world import World
 
 TOLERANCE = 1e-4
@@ -21,9 +21,13 @@ LIMIT = 1e-9
 DENT = 1e-3
 """How deep a closed finger may be in the object [m]: its pad gives way."""
 RESTS = 1e-3
-"""How far start and goal may be from resting, and what else touches the table [m]."""
+"""How far start and goal may be from resting, and what else touches the board [m]."""
 RESTS_EXACTLY = 1e-5
 """The same of intermediate poses, which the planner has computed."""
+HELD = 1e-6
+"""Largest entry of the difference between the object's pose and that in which a nest holds it [m or 1]."""
+NEST = 1e-3
+"""How deep an object may be in the bodies of the nest that it is in [m]."""
 
 
 class PlanVerifier:
@@ -32,18 +36,19 @@ class PlanVerifier:
     Parameters
     ----------
     content : dict
-        A plan file, for the object and cell that it names.
+        A plan file, for the object and cell that it names; None where `cell`, `mesh` and the object's `name` are given.
     tolerance : float
         How far a distance may fall short of what is required [m].
     """
 
-    def __init__(self, content, cell: Cell | None = None, mesh=None, tolerance=TOLERANCE):
+    def __init__(self, content, cell: Cell | None = None, mesh=None, tolerance=TOLERANCE, name=None):
         self.tolerance = tolerance
+        self.name = name or (content and content["object"]["name"])
         self.cell = cell or read_cell(content["workcell"])
         self.world = World(self.cell, *(mesh or read_object(content["object"])))
         self.solid = self.world.object_solid
         given = (content or {}).get("object", {}).get("mass_properties", {})
-        self.center_of_mass = np.array(given.get("center_of_mass", self.solid.center_of_mass))
+        self.center_of_mass = np.array(given.get("center_of_mass", self.center_of_mass))
         self.test(self._required_pairs())
         self._held: dict[tuple, str | None] = {}
 
@@ -66,9 +71,12 @@ class PlanVerifier:
             return [f"the plan's status is {content['status']}"]
         poses, transitions = np.array(content["poses"]), content["transitions"]
         wrong = []
+        named = [None, *content.get("supports", [None] * (len(poses) - 2)), None]
+        if len(named) != len(poses):
+            return [f"{len(named) - 2} supports are named for {len(poses)} poses"]
         for i, T in enumerate(poses):
-            tolerance = RESTS if i in (0, len(poses) - 1) else RESTS_EXACTLY
-            wrong += [f"pose {i}: {text}" for text in self.pose_problems(T, tolerance)]
+            exact = 0 < i < len(poses) - 1
+            wrong += [f"pose {i}: {text}" for text in self.pose_problems(T, exact, named[i])]
         if len(transitions) != len(poses) - 1:
             wrong.append(f"there are {len(transitions)} transitions between {len(poses)} poses")
         for i, transition in enumerate(transitions[: len(poses) - 1]):
@@ -105,34 +113,74 @@ class PlanVerifier:
             return f"at a width of {width:.4f} m a finger is in the object"
         return None
 
-    def pose_problems(self, T, tolerance=RESTS):
-        """Return what keeps the object from resting at `T` (4, 4) on the table, inside the workspace."""
-        table, space, wrong = self.cell.table, self.cell.workspace, []
+    def pose_problems(self, T, exact=False, name=None):
+        """Return what keeps the object from resting at `T` (4, 4) on a support, the one called `name` if that is given.
+
+        Intermediate poses must rest `exact`ly, as the planner has computed them.
+        """
+        wrong = []
         if np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() > MISS or np.linalg.det(T[:3, :3]) < 0:
             wrong.append("it is not a rigid pose")
-        points = self.solid.vertices @ T[:3, :3].T + T[:3, 3]
-        gap = points[:, 2].min() - table["height"]
-        if abs(gap) > tolerance + MISS:
-            wrong.append(f"it is {gap:.2g} m above the table")
-        support = points[points[:, 2] <= max(points[:, 2].min() + MISS, table["height"] + tolerance), :2]
-        if (np.abs(support - table["center"]) > np.array(table["size"]) / 2 + MISS).any():
-            wrong.append("it stands over the edge of the table")
-        center = T[:3, :3] @ self.center_of_mass + T[:3, 3]
-        if not _in_hull(center[:2], support):
-            wrong.append("it would tip over")
-        for value, axis in zip(center, "xy", strict=False):
-            if not space[axis][0] - MISS <= value <= space[axis][1] + MISS:
-                wrong.append(f"its centre of mass is outside the workspace in {axis}")
-        return wrong + self._object_problems(T)
+        on, problems = self.support_at(T, exact, name)
+        if on is None:
+            return [*wrong, f"there is no support '{name}'"]
+        return wrong + problems + self._object_problems(T, on)
 
-    def _object_problems(self, T):
-        """Return which fixed bodies the object at `T` (4, 4) is nearer to than the gripper may be."""
+    def support_at(self, T, exact=False, name=None):
+        """Return the number of the support on which the object is at `T` (4, 4), or nearly is, and what is wrong."""
+        found = [
+            (*self._resting(T, support, exact), n)
+            for n, support in enumerate(self.cell.supports)
+            if name in (None, support.name)
+        ]
+        if not found:
+            return None, []
+        wrong, _, number = min(found, key=lambda one: (len(one[0]) > 0, one[1]))
+        return number, wrong
+
+    def _resting(self, T, support, exact):
+        """Return what keeps the object at `T` (4, 4) from resting on a support, and how far it is off [m or 1]."""
+        if not isinstance(support, Board):
+            held = [np.abs(T - pose).max() for pose, only in support.poses if only in (None, self.name)]
+            off = min(held, default=np.inf)
+            return ([f"it is {off:.2g} off what {support.name} holds"] if not off <= HELD else []), off
+        tolerance, wrong = RESTS_EXACTLY if exact else RESTS, []
+        points = support.seen(self.solid.vertices @ T[:3, :3].T + T[:3, 3])
+        center = support.seen(T[:3, :3] @ self.center_of_mass + T[:3, 3])
+        gap = points[:, 2].min()
+        if abs(gap) > tolerance + MISS:
+            wrong.append(f"it is {gap:.2g} m above the {support.name}")
+        feet = points[points[:, 2] <= max(gap + MISS, tolerance), :2]
+        beyond = (np.abs(feet - support.center) > np.array(support.size) / 2 + MISS).any(axis=1)
+        if beyond.any():
+            wrong.append(f"it stands over the edge of the {support.name}")
+        down = -support.T[2, :3]  # gravity in the frame of the board
+        if not _in_hull(center[:2] - center[2] / down[2] * down[:2], feet):
+            wrong.append("it would tip over")
+        if np.linalg.norm(down[:2]) > -down[2] * support.friction + MISS:
+            wrong.append(f"it would slide off the {support.name}")
+        for value, axis in zip(center, "xy", strict=False):
+            if not support.space[axis][0] - MISS <= value <= support.space[axis][1] + MISS:
+                wrong.append(f"its centre of mass is outside the workspace in {axis}")
+        return wrong, abs(gap) + (10.0 if beyond.all() else 0.0)
+
+    def _object_problems(self, T, on):
+        """Return which bodies the object at `T` (4, 4), on the support of this number, is too near to."""
         self.world.place(np.zeros(self.world.dof), T, 0.0, 0.0)
-        thing, wrong = self.world.index["object"], []
+        thing, near, wrong = self.world.index["object"], self.cell.clearance["gripper"], []
         for n, body in enumerate(self.world.bodies):
             if body.part in ("obstacle", "fixed") or (body.part == "arm" and body.group == 0):
-                wrong += self._apart(thing, n, self.cell.clearance["gripper"])
+                wrong += self._apart(thing, n, near)
+            elif body.part == "support" and not self._above(T, body.support, on):
+                wrong += self._apart(thing, n, -NEST if body.support == on else near)
         return wrong
+
+    def _above(self, T, number, on):
+        """Return whether the object at `T` (4, 4) is on the board of this `number`, or wholly above its plane."""
+        board = self.cell.supports[number]
+        if not isinstance(board, Board):
+            return False
+        return number == on or board.seen(self.solid.vertices @ T[:3, :3].T + T[:3, 3])[:, 2].min() >= -RESTS - MISS
 
     # ---- configurations
 
@@ -161,7 +209,7 @@ class PlanVerifier:
         return self._collisions(-np.inf, all_of_them)
 
     def clearance(self, q, T, width):
-        """Return the least distance of arm and gripper to table, obstacles and, of the arm, object [m], and of what."""
+        """Return the least distance [m] of arm and gripper to supports, obstacles and (arm only) object, and of what."""
         self._place(q, T, width)
         outer = [(self.world.distance(a, b, 10.0), a, b) for a, b, _, outer in self.pairs if outer]
         least, a, b = min(outer)
@@ -185,7 +233,7 @@ class PlanVerifier:
         return wrong
 
     def _apart(self, a, b, least):
-        found = self.world.distance(a, b, least + TOLERANCE, least - self.tolerance)
+        found = self.world.distance(a, b, max(least, 0.0) + TOLERANCE, least - self.tolerance)
         if found >= least - self.tolerance:
             return []
         first, second = (self.world.bodies[n].name for n in (a, b))
@@ -206,11 +254,11 @@ class PlanVerifier:
                 touching = {*self.cell.ignored, *robot.joined}
                 apart = a.group != b.group and frozenset((a.link, b.link)) not in touching
                 return (near["self_collision"], False) if apart else None
-            if other.part in ("table", "obstacle", "fixed", "object") and moving:
+            if other.part in ("support", "obstacle", "fixed", "object") and moving:
                 ignored = other.part == "fixed" and frozenset((a.link, b.link)) in self.cell.ignored
                 return None if ignored else (near["arm"], True)
             hand = {"palm", "finger"} & kinds
-            if hand and kinds & {"table", "obstacle", "fixed"}:
+            if hand and kinds & {"support", "obstacle", "fixed"}:
                 return near["gripper"], True
             if hand and "arm" in kinds:
                 return (near["self_collision"], False) if arm.group != last else None

@@ -52,8 +52,7 @@ def world_with(tmp_path, obstacles):
     (tmp_path / "r.urdf").write_text(ONE_JOINT, encoding="utf-8")
     robot = read_urdf(tmp_path / "r.urdf", "a")
     tool = Tool("suction", 0.1, 0.0, 0.01, 0.0, [], [], None)
-    table = {"center": (0, 0), "size": (1, 1), "height": -9.0, "thickness": 0.1}
-    return World(Cell(None, np.eye(4), robot, tool, table, obstacles, {}, {}), *mesh_of("mug"))
+    return World(Cell(None, np.eye(4), robot, tool, [], obstacles, {}), *mesh_of("mug"))
 
 
 def bvh(vertices, faces):
@@ -103,10 +102,9 @@ def test_arms_of_others_stand_where_the_package_puts_them(name):
     bounded = np.isfinite(mine.limits).all(axis=1)
     np.testing.assert_allclose(mine.limits[bounded], np.stack([robot.lower, robot.upper], axis=1)[bounded])
     tool = Tool("suction", 0.1, 0.0, 0.01, 0.0, [], [], None)
-    table = {"center": (0, 0), "size": (1, 1), "height": -9.0, "thickness": 0.1}
     base = np.eye(4)
     base[:3, :3], base[:3, 3] = Rotation.from_euler("xyz", [0.1, 0.2, 0.3]).as_matrix(), (0.3, 0.2, 0.1)
-    world = World(Cell(None, base, mine, tool, table, [], {}, {}), *mesh_of("pentagon"))
+    world = World(Cell(None, base, mine, tool, [], [], {}), *mesh_of("pentagon"))
     for q in np.random.default_rng(0).uniform(-1, 1, (5, robot.dof)):
         np.testing.assert_allclose(world.place(q, None, 0.0, 0.0), base @ robot.forward(q), atol=1e-12)
 

@@ -31,14 +31,16 @@ class Body(NamedTuple):
     name : str
     part : str
         ``arm``, ``fixed`` (turns with no joint, but is not the seat of the first), ``palm``, ``finger`` (as large as
-        all the room that it takes while it closes), ``open`` (a finger where it approaches), ``object``, ``table`` or
-        ``obstacle``.
+        all the room that it takes while it closes), ``open`` (a finger where it approaches), ``object``, ``support``
+        or ``obstacle``.
     link, group
         Link of the robot, and number of the joint that it moves with; 0 for what never moves.
     geom : int
         The body itself where it is convex, else its hull.
     solid : Solid or None
         The triangles of a mesh that is not convex, in the frame given by `T_geom_solid`.
+    support : int or None
+        Number of the support that it is, or is a body of.
     """
 
     name: str
@@ -48,6 +50,7 @@ class Body(NamedTuple):
     geom: int
     solid: Solid | None = None
     T_geom_solid: Any = None
+    support: int | None = None
 
 
 class World:
@@ -99,12 +102,10 @@ class World:
                 part = "fixed" if group == 0 and body.name != robot.seat else "arm"
                 solid = self._solids[int(geom.meshname)] if geom.type == GEOM.mjGEOM_MESH else None
                 parts[geom.name] = part, body.name, group, solid
-        top = cell.table
-        box = (*top["size"], top["thickness"])
-        T = np.eye(4)
-        T[:3, 3] = *top["center"], top["height"] - top["thickness"] / 2
         world, tip = spec.worldbody, spec.body(robot.tip)
-        self._add(spec, world, parts, Shape("table", "box", T, box), "table")
+        for n, support in enumerate(cell.supports):
+            for shape in support.bodies:
+                self._add(spec, world, parts, shape, "support", support=n)
         for shape in cell.obstacles:
             self._add(spec, world, parts, shape, "obstacle")
         for shape in cell.tool.body:
@@ -122,8 +123,8 @@ class World:
             spec.worldbody.add_geom(name=f"triangle{n}", type=GEOM.mjGEOM_MESH, meshname=f"triangle{n}")
         return parts
 
-    def _add(self, spec, body, parts, shape, part, solid=None):
-        pose = {"name": f"{part}:{shape.name}" if part == "obstacle" else shape.name}
+    def _add(self, spec, body, parts, shape, part, solid=None, support=None):
+        pose = {"name": f"{part}:{shape.name}" if part in ("obstacle", "support") else shape.name}
         pose |= {"pos": shape.T[:3, 3], "quat": _quat(shape.T)}
         if shape.kind == "box":
             body.add_geom(**pose, type=GEOM.mjGEOM_BOX, size=np.asarray(shape.size) / 2)
@@ -136,15 +137,16 @@ class World:
             spec.add_mesh(name=name, uservert=hull.ravel())
             body.add_geom(**pose, type=GEOM.mjGEOM_MESH, meshname=name)
         group = self.cell.robot.group[self.cell.robot.tip] if part in ("palm", "finger", "open") else 0
-        parts[pose["name"]] = part, "", group, solid
+        parts[pose["name"]] = part, "", group, solid, support
 
-    def _body(self, name, part, link, group, solid):
+    def _body(self, name, part, link, group, solid, support=None):
         geom = self.model.geom(name).id
         T = None
         if solid is not None:
             mesh = self.model.geom_dataid[geom]
             T = np.linalg.inv(_pose(self.model.mesh_pos[mesh], self.model.mesh_quat[mesh]))
-        return Body(name.removeprefix("obstacle:"), part, link, group, geom, solid, T)
+        shown = name.removeprefix("obstacle:").removeprefix("support:")
+        return Body(shown, part, link, group, geom, solid, T, support)
 
     def _free_triangle(self, name):
         """Return the geom of a free triangle, and its corners in the model: three, and one of them again."""
