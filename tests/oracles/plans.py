@@ -48,7 +48,7 @@ class PlanVerifier:
         self.world = World(self.cell, *(mesh or read_object(content["object"])))
         self.solid = self.world.object_solid
         given = (content or {}).get("object", {}).get("mass_properties", {})
-        self.center_of_mass = np.array(given.get("center_of_mass", self.center_of_mass))
+        self.center_of_mass = np.array(given.get("center_of_mass", self.solid.center_of_mass))
         self.test(self._required_pairs())
         self._held: dict[tuple, str | None] = {}
 
@@ -209,7 +209,7 @@ class PlanVerifier:
         return self._collisions(-np.inf, all_of_them)
 
     def clearance(self, q, T, width):
-        """Return the least distance [m] of arm and gripper to supports, obstacles and (arm only) object, and of what."""
+        """Return the least distance [m] of arm and gripper to supports, obstacles and (arm alone) object, and where."""
         self._place(q, T, width)
         outer = [(self.world.distance(a, b, 10.0), a, b) for a, b, _, outer in self.pairs if outer]
         least, a, b = min(outer)

@@ -10,7 +10,7 @@ def test_the_verifiers_import_none_of_what_they_verify():
     modules = [
         path
         for path in Path(__file__).parent.glob("*.py")
-        if not path.name.startswith(("test_", "campaign", "accelerations"))
+        if not path.name.startswith(("test_", "campaign", "accelerations", "stations"))
     ]
     assert len(modules) >= 6
     for path in modules:
