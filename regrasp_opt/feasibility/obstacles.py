@@ -17,6 +17,7 @@ from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, invert
 from regrasp_opt.feasibility.checker import FeasibilityChecker
 from regrasp_opt.feasibility.tabletop import wrist_bodies
 from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh, Shape, surface_points
+from regrasp_opt.scene import Support
 
 SPACING = 0.03
 """Largest distance of the points of the tool, and of those of a mesh, that are looked at [m]."""
@@ -27,13 +28,15 @@ _AT_ONCE = 4096
 class _Around(NamedTuple):
     """An obstacle: its shape, the world in its frame (4, 4), the box around it in the world (2, 3).
 
-    ``points`` (P, 3) are on the surface of a mesh, in the world; other shapes have none.
+    ``points`` (P, 3) are on the surface of a mesh, in the world; other shapes have none. ``board`` is the number of the
+    support that it is, -1 where it is none or belongs to a fixture.
     """
 
     shape: Shape
     T_shape_world: FloatArray
     box: FloatArray
     points: FloatArray
+    board: int
 
 
 class ObstacleRule:
@@ -47,8 +50,10 @@ class ObstacleRule:
 
     def __init__(self, checker: FeasibilityChecker) -> None:
         self._checker, cell = checker, checker.workcell
-        supports = [shape for support in cell.supports for shape in support.shapes] if len(cell.supports) > 1 else []
-        self._obstacles = [_around(shape) for shape in (*cell.obstacles, *supports)]
+        self._obstacles = [_around(shape) for shape in cell.obstacles]
+        for number, support in enumerate(cell.supports if len(cell.supports) > 1 else ()):
+            board = number if isinstance(support, Support) else -1
+            self._obstacles += [_around(shape, board) for shape in support.shapes]
         effector, grasps = cell.arm.end_effector, checker.grasps
         fixed = [_grid(shape) for shape in effector.body]
         fixed += [_axis(geometry, T) for geometry, T in wrist_bodies(cell.arm.robot)]
@@ -63,40 +68,53 @@ class ObstacleRule:
         self._middle = (self._box[0] + self._box[1]) / 2
         self._radius = np.linalg.norm(self._points - self._middle[:, None], axis=2).max(axis=1)
 
-    def __call__(self, T: FloatArray, candidates: BoolArray) -> BoolArray:
+    def __call__(self, T: FloatArray, on: IntArray, candidates: BoolArray) -> BoolArray:
         """Return what is ruled out (B, G) at object poses `T` (B, 4, 4) T_world_object.
 
-        The tool is tested for the `candidates` (B, G) only; where the object cannot be, no grasp can.
+        The tool is tested for the `candidates` (B, G) only; where the object cannot be, no grasp can. The board of the
+        number `on` (B,), on which the object stands, is left out: it is the business of another rule.
         """
-        blocked = self._object_in_the_way(T)
+        blocked = self._object_in_the_way(T, on)
         found = np.repeat(blocked[:, None], candidates.shape[1], axis=1)
         pose, grasp = np.nonzero(candidates & ~found)
         for first in range(0, len(pose), _AT_ONCE):
             at = pose[first : first + _AT_ONCE], grasp[first : first + _AT_ONCE]
-            found[at] = self._tool_in_obstacle(T[at[0]], at[1])
+            found[at] = self._tool_in_obstacle(T[at[0]], on[at[0]], at[1])
         return found
 
-    def _object_in_the_way(self, T: FloatArray) -> BoolArray:
+    def _object_in_the_way(self, T: FloatArray, on: IntArray) -> BoolArray:
         ball, margin = self._checker.object_ball, self._checker.workcell.clearance.gripper
         centers, near = T[:, :3, :3] @ ball.middle + T[:, :3, 3], np.zeros(len(T), dtype=bool)
         for each in self._obstacles:
-            near |= _distance(centers, each.box) <= ball.radius + margin
+            near |= (on != each.board) & (_distance(centers, each.box) <= ball.radius + margin)
         found = np.zeros(len(T), dtype=bool)
         found[near] = [self._checker.object_overlaps(pose, margin) is not None for pose in T[near]]
         return found
 
-    def _tool_in_obstacle(self, T: FloatArray, grasp_ids: IntArray) -> BoolArray:
+    def _tool_in_obstacle(self, T: FloatArray, on: IntArray, grasp_ids: IntArray) -> BoolArray:
         flange = self._checker.flange_poses(T, grasp_ids)
         centers = np.einsum("mij,mj->mi", flange[:, :3, :3], self._middle[grasp_ids]) + flange[:, :3, 3]
         found = np.zeros(len(T), dtype=bool)
         for each in self._obstacles:
-            near = np.flatnonzero(~found & (_distance(centers, each.box) <= self._radius[grasp_ids]))
+            near = ~found & (on != each.board) & (_distance(centers, each.box) <= self._radius[grasp_ids])
+            near = np.flatnonzero(near)
             if isinstance(each.shape, Mesh):
                 found[near] = self._holds(each.points, flange[near], grasp_ids[near])
             else:
-                points = _moved(each.T_shape_world @ flange[near], self._points[grasp_ids[near]])
+                T_shape_flange = each.T_shape_world @ flange[near]
+                reaches = self._reaches(each.shape, T_shape_flange, grasp_ids[near])
+                near, T_shape_flange = near[reaches], T_shape_flange[reaches]
+                points = _moved(T_shape_flange, self._points[grasp_ids[near]])
                 found[near] = _inside(each.shape, points).any(axis=1)
         return found
+
+    def _reaches(self, shape: Box | Cylinder, T_shape_flange: FloatArray, grasp_ids: IntArray) -> BoolArray:
+        """Return for which tools (M,), at (M, 4, 4), the box around the tool may reach the one around `shape`."""
+        half = shape.size / 2 if isinstance(shape, Box) else np.array([shape.radius, shape.radius, shape.length / 2])
+        R, extent = T_shape_flange[:, :3, :3], (self._box[1] - self._box[0]) / 2
+        middle = np.einsum("mij,mj->mi", R, self._middle[grasp_ids]) + T_shape_flange[:, :3, 3]
+        beyond: FloatArray = np.abs(middle) - np.einsum("mij,mj->mi", np.abs(R), extent[grasp_ids])
+        return np.asarray((beyond < half).all(axis=1))
 
     def _holds(self, points: FloatArray, flange: FloatArray, grasp_ids: IntArray) -> BoolArray:
         """Return which tools (M,) at `flange` (M, 4, 4) have one of the `points` (P, 3), in the world, in a part."""
@@ -113,7 +131,7 @@ class ObstacleRule:
         return found
 
 
-def _around(shape: Shape) -> _Around:
+def _around(shape: Shape, board: int = -1) -> _Around:
     corners, points = surface_points(shape), np.zeros((0, 3))
     if isinstance(shape, Mesh):
         points, _ = trimesh.remesh.subdivide_to_size(corners, shape.faces, SPACING)
@@ -121,7 +139,7 @@ def _around(shape: Shape) -> _Around:
     elif isinstance(shape, Cylinder):  # those on the rims do not reach out as far as the cylinder
         rim = np.array(np.meshgrid(*[(-h, h) for h in (shape.radius, shape.radius, shape.length / 2)]))
         corners = _moved(shape.pose, rim.reshape(3, -1).T)
-    return _Around(shape, invert(shape.pose), np.array([corners.min(axis=0), corners.max(axis=0)]), points)
+    return _Around(shape, invert(shape.pose), np.array([corners.min(axis=0), corners.max(axis=0)]), points, board)
 
 
 def _core(shape: Shape) -> Box:

@@ -75,8 +75,8 @@ class GraspRules:
         """Return which of the `candidates` (..., G) the obstacles rule out."""
         if self.obstacles is None:
             return np.zeros_like(candidates)
-        T = self._rests.planar.at(placements, xi).reshape(-1, 4, 4)
-        return self.obstacles(T, candidates.reshape(-1, candidates.shape[-1])).reshape(candidates.shape)
+        T, on = self._rests.planar.at(placements, xi).reshape(-1, 4, 4), self._rests.supports[placements].reshape(-1)
+        return self.obstacles(T, on, candidates.reshape(-1, candidates.shape[-1])).reshape(candidates.shape)
 
     def __call__(self, placements: IntArray, xi: FloatArray) -> BoolArray:
         """Return which grasps (..., G) are ruled out by any of the rules."""

@@ -1,5 +1,7 @@
 """What obstacles rule out is infeasible by the exact check, and much of what they make infeasible is ruled out."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
@@ -10,6 +12,7 @@ from regrasp_opt.feasibility.dataset import random_poses
 from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh
 from regrasp_opt.planning.tasks import random_task
 
+SCENES = Path(__file__).parents[2] / "docs" / "scenes"
 SPHERE = trimesh.creation.icosphere(2, 0.08)
 SHAPES = {
     "box": Box("box", np.array([0.15, 0.1, 0.25]), translation(0.15, 0.35, 0.125)),
@@ -32,6 +35,17 @@ def test_nothing_feasible_is_ruled_out_and_much_of_the_rest_is(tool, name):
     lost = before & ~after
     assert lost.sum() > 50 and (ruled_out & lost).sum() > 0.25 * lost.sum()
     np.testing.assert_array_equal(base.ruled_out(numbers, xi), base.ruled_out(numbers, xi) & ruled_out)
+
+
+@pytest.mark.parametrize("scene", ["shelf", "tilted-plate", "shelf-between"])
+def test_supports_that_the_object_is_not_on_are_obstacles(scene):
+    """Without the rule about them, the search would have to find out by exact checks."""
+    problem = RegraspProblem.load("bottle", SCENES / f"{scene}.toml")
+    numbers, xi = problem.rests.planar.draw(80, np.random.default_rng(2))
+    after = np.array([problem.feasible_grasps(T) for T in problem.rests.planar.at(numbers, xi)])
+    known, ruled_out = problem.rules.free_space(numbers, xi), problem.ruled_out(numbers, xi)
+    assert not (ruled_out & after).any()
+    assert (ruled_out & ~known).sum() > 0.1 * (~after & ~known).sum()
 
 
 def test_only_candidates_are_asked_about():

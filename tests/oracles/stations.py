@@ -1,7 +1,7 @@
 """``python -m tests.oracles.stations --out FOLDER``: plans and motions between two tables and a shelf, verified.
 
-Each task begins and ends on different supports; beside it an exact search says what can be solved, and the single table
-of the same size what time is usual. Rows are in FOLDER/stations.jsonl, a run that was ended goes on where it stopped;
+Each task begins and ends on different supports; beside it an exact search says what can be solved, and a task on a single
+table, which needs a regrasp where this one does, what time is usual. Rows are in FOLDER/stations.jsonl, a run that was ended goes on where it stopped;
 the tables are written to FOLDER/stations.md and printed.
 """
 
@@ -60,13 +60,12 @@ def resting_poses(tool, thing, cell, count, seed):
     return poses
 
 
-def random_ends(problem, rng):
-    """Return start and goal (4, 4) on different supports, where there are several."""
-    from regrasp_opt.planning.tasks import random_graspable_pose
+def random_ends(problem, rng, needs_regrasp=None):
+    """Return start and goal (4, 4), on different supports where there are several."""
+    from regrasp_opt.planning.tasks import random_task
 
-    start = random_graspable_pose(problem, rng)
     while True:
-        goal = random_graspable_pose(problem, rng)
+        start, goal, _ = random_task(problem, rng, needs_regrasp=needs_regrasp)
         on = {problem.station(T).support for T in (start, goal)}
         if len(on) == min(2, len(problem.workcell.supports)):
             return start, goal
@@ -120,14 +119,15 @@ def timed_motion(plan, path):
 
 def task(folder, seed, count, tool, thing, number, with_motion):
     """Return the row of one task in the shelf's cell, and of one on the table."""
-    name, row = f"{tool}-{Path(thing).stem}-{number}", {}
+    name, row, needs_regrasp = f"{tool}-{Path(thing).stem}-{number}", {}, None
     for cell in ("shelf", "table"):
         problem = problem_of(tool, thing, cell)
-        start, goal = random_ends(problem, np.random.default_rng([seed, number]))
+        start, goal = random_ends(problem, np.random.default_rng([seed, number]), needs_regrasp)
         plan, found = timed_plan(problem, start, goal, number)
         found["supports"] = [station.support for station in plan.stations] if plan.solved else []
         if cell == "shelf":
             found["exact"] = fewest(problem, resting_poses(tool, thing, cell, count, seed), start, goal)
+            needs_regrasp = found["exact"] != 0
             found["ends"] = [problem.station(T).support for T in (start, goal)]
             if plan.solved:
                 found["false"] = verified(plan, folder / "plans" / f"{name}.json", number)
