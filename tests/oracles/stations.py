@@ -1,8 +1,8 @@
 """``python -m tests.oracles.stations --out FOLDER``: plans and motions between two tables and a shelf, verified.
 
-Each task begins and ends on different supports; beside it an exact search says what can be solved, and a task on a single
-table, which needs a regrasp where this one does, what time is usual. Rows are in FOLDER/stations.jsonl, a run that was ended goes on where it stopped;
-the tables are written to FOLDER/stations.md and printed.
+Each task begins and ends on different supports; beside it an exact search says what can be solved, and a task on a
+single table, which needs a regrasp where this one does, what time is usual. Rows are in FOLDER/stations.jsonl, a run
+that was ended goes on where it stopped; the tables are written to FOLDER/stations.md and printed.
 """
 
 from __future__ import annotations
@@ -29,11 +29,7 @@ GROUPS = (
     ("r140", str(BOX), 0.1),
 )
 """Tool, object, and its share of the tasks."""
-SHOWN = {
-    "leaning-nest": ("bottle", "table/4:-0.25,0.35,0", "nest/leaning"),
-    "tilted-plate": ("mug", "table/0:-0.25,0.35,0", "plate/1:0.27,0.40,90"),
-    "shelf-between": ("bottle", "rack/lying", "cup/upright"),
-}
+SHOWN = json.loads((SCENES / "tasks.json").read_text("utf-8"))
 """Scenes in files of the same name: object, start and goal."""
 LONGEST = 3
 ROWS = 8
