@@ -1,4 +1,4 @@
-"""Make the pictures of the README and the first page: `python docs/make_images.py`.
+"""Make the pictures of the README and the pages: `python docs/make_images.py`.
 
 It needs the extras ``viz`` and ``dev``, Chromium and its driver on the path. The pictures are of the page that
 ``regrasp-opt plan --html`` writes.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import io
+import json
 import shutil
 import tempfile
 from pathlib import Path
@@ -29,7 +30,7 @@ from regrasp_opt.solvers import NlpRefiner
 from regrasp_opt.viz import CandidateTrace, trace_candidates, write_plan_page
 from regrasp_opt.viz.plots import plot_cost_landscape, plot_cost_traces, plot_pose_distribution
 
-IMAGES = Path(__file__).parent / "images"
+IMAGES, SCENES = (Path(__file__).parent / name for name in ("images", "scenes"))
 START, GOAL = "1:0.26,0.40,-30", "0:-0.26,0.40,10"
 HIDE_CARDS = "for (const card of document.querySelectorAll('.card')) card.style.visibility = 'hidden';"
 BLOCKED = "0:0.26,0.38,20", "1:-0.26,0.40,10"
@@ -157,6 +158,22 @@ def photograph_causes(browser: webdriver.Chrome, problem: RegraspProblem, page: 
     photograph(browser, 1280, 760).save(IMAGES / "causes.png", optimize=True)
 
 
+def photograph_scenes(browser: webdriver.Chrome, page: Path) -> None:
+    """Write a picture of the plan of each scene with several supports: every time the object is picked or put down."""
+    for name, (thing, *ends) in json.loads((SCENES / "tasks.json").read_text("utf-8")).items():
+        problem = RegraspProblem.load(thing, SCENES / f"{name}.toml")
+        plan = solve_sequence(problem, *(parse_pose(text, "pose", problem) for text in ends))
+        write_plan_page(plan, page)
+        browser.get(page.as_uri())
+        browser.execute_script(HIDE_CARDS + "document.getElementById('marks').click(); plan.look(1.05)")
+        panels, captions = [], []
+        for step, station in enumerate(plan.stations):
+            browser.execute_script("plan.show(arguments[0])", max(0, 2 * step - 1))
+            panels.append(photograph(browser, 520, 480))
+            captions.append(f"{step + 1}. {station.support}")
+        save_strip(panels, tuple(captions), f"{name}.png")
+
+
 def draw_sweep(problem: RegraspProblem) -> Figure:
     """Return a picture of the costs while the intermediate pose moves from the goal to the start (Fig. 5)."""
     ends = [parse_pose(text, "pose", problem) for text in SWEPT]
@@ -205,6 +222,7 @@ def main() -> None:
                 panels.append(photograph(browser, 520, 480))
             photograph_candidates(browser, plan, trace, page)
             photograph_causes(browser, plan.problem, page)
+            photograph_scenes(browser, page)
         finally:
             browser.quit()
     save_strip(panels, CAPTIONS, "plan.png")

@@ -174,10 +174,8 @@ def run(folder, tasks, motions, count, seed):
         for name in SHOWN:
             if name not in done:
                 add(scene(folder, name))
-        works = [
-            (n / share, tool, thing, n, share) for tool, thing, share in GROUPS for n in range(round(share * tasks))
-        ]
-        for _, tool, thing, number, share in sorted(works):  # all objects advance together
+        numbers = [(tool, thing, share, n) for tool, thing, share in GROUPS for n in range(round(share * tasks))]
+        for tool, thing, share, number in sorted(numbers, key=lambda one: one[3] / one[2]):  # all advance together
             if (tool, Path(thing).name, number) not in done:
                 row = task(folder, seed, count, tool, thing, number, number < round(share * motions))
                 add({"tool": tool, "object": Path(thing).name, "number": number, **row})
@@ -194,7 +192,7 @@ def tables(rows):
         verdicts = len(row.get("false", ())), motion.get("status", "none"), len(motion.get("false", ()))
         lines.append(f"| {row['scene']} | {way} | {row['status']} | {' | '.join(map(str, verdicts))} |")
     lines += ["", f"| object | tasks | exact | solved of these | N equal | fewer | more | false | {TIMES} |"]
-    lines += ["| --- " * 11 + "|"]
+    lines += ["| --- " * 10 + "|"]
     groups = list(dict.fromkeys((row["tool"], row["object"]) for row in tasks))
     lines += [_plans(f"{thing}, {tool}", [r for r in tasks if (r["tool"], r["object"]) == (tool, thing)])
               for tool, thing in groups]  # fmt: skip
