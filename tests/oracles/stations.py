@@ -41,7 +41,7 @@ def problem_of(tool, thing, cell):
     from regrasp_opt import RegraspProblem, solve_sequence
 
     problem = RegraspProblem.load(thing, SCENES / f"{cell}.toml", end_effector=tool)
-    start, goal = random_ends(problem, np.random.default_rng(0))
+    start, goal = random_ends(problem, np.random.default_rng(0), needs_regrasp=True)
     solve_sequence(problem, start, goal)  # what is made once, and not timed
     return problem
 
