@@ -220,8 +220,8 @@ class FeasibilityChecker:
     def _other_supports(self, T: FloatArray) -> list[_Still]:
         if self._object is None or len(self.workcell.supports) == 1:
             return []
-        own, vertices = self.support_below(T), self._object.vertices @ T[:3, :3].T + T[:3, 3]
-        free = {k for k, s in enumerate(self.workcell.supports) if isinstance(s, Support) and is_above(vertices, s)}
+        own, corners = self.support_below(T), self._object.model.corners @ T[:3, :3].T + T[:3, 3]
+        free = {k for k, s in enumerate(self.workcell.supports) if isinstance(s, Support) and is_above(corners, s)}
         return [still for still in self._supports if still.support != own and still.support not in free]
 
     def _blocked(self, T: FloatArray) -> BoolArray:

@@ -51,13 +51,15 @@ def resting_problem(vertices: FloatArray, center_of_mass: FloatArray, support: S
 
 def support_of(T: FloatArray, body: ObjectModel, cell: Workcell) -> int | None:
     """Return the number of the support on which, or in which, the object is at `T` (4, 4), or None."""
-    vertices = body.vertices @ T[:3, :3].T + T[:3, 3]
+    corners = body.corners @ T[:3, :3].T + T[:3, 3]
     for number, support in enumerate(cell.supports):
         if isinstance(support, Fixture):
             held = support.holding(T, PLACEMENT_TOLERANCE)
             if held is not None and held.object in (None, body.name):
                 return number
-        elif stands_on(vertices, support):
+        elif abs(_contact(corners, support)[0]) <= RESTING_TOLERANCE and stands_on(
+            body.vertices @ T[:3, :3].T + T[:3, 3], support
+        ):
             return number
     return None
 

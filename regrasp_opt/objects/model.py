@@ -98,6 +98,11 @@ class ObjectModel:
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
     @cached_property
+    def corners(self) -> FloatArray:
+        """Vertices (H, 3) of the convex hull in the object frame [m]: the lowest one is the lowest of all."""
+        return self.vertices[np.unique(self._hull.simplices)]
+
+    @cached_property
     def _hull(self) -> Hull:
         return Hull(self.vertices - self.center_of_mass)
 
