@@ -19,8 +19,11 @@ from regrasp_opt.planning import RegraspPlan
 TILT = 1.0
 """Tangent of the angle by which lines of the tool are tilted."""
 
+SLIGHT = 0.4
+"""The same, of lines along which the open jaw leaves the gap between two boards."""
+
 OUTWARD = 6.0
-"""The same, of lines that lead out from under another support."""
+"""The same, of lines that lead an object out from under another support."""
 
 RISE = 0.3
 """Least share by which the tool's axis must rise to be a direction of lifting."""
@@ -205,4 +208,4 @@ class PickPlaceMotion:
     def _backwards(self, q: FloatArray, tilted: bool) -> FloatArray:
         """Return directions (D, 3) in the base frame in which the open jaw retreats at `q` (dof,)."""
         x, _, z = self._tools.plan.problem.workcell.arm.robot.forward(q)[:3, :3].T
-        return np.array([-z - TILT * x, -z + TILT * x] if tilted else [-z])
+        return np.array([-z + sign * t * x for t in (TILT, SLIGHT) for sign in (-1.0, 1.0)] if tilted else [-z])
