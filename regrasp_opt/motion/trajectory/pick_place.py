@@ -19,8 +19,8 @@ from regrasp_opt.planning import RegraspPlan
 TILT = 1.0
 """Tangent of the angle by which lines of the tool are tilted."""
 
-SLIGHT = 0.4
-"""The same, of lines along which the open jaw leaves the gap between two boards."""
+JAW_TILTS = TILT, 0.4, 3.0
+"""The same, of lines of the open jaw: between two boards only some slants, or sideways, lead out."""
 
 OUTWARD = 6.0
 """The same, of lines that lead an object out from under another support."""
@@ -208,4 +208,4 @@ class PickPlaceMotion:
     def _backwards(self, q: FloatArray, tilted: bool) -> FloatArray:
         """Return directions (D, 3) in the base frame in which the open jaw retreats at `q` (dof,)."""
         x, _, z = self._tools.plan.problem.workcell.arm.robot.forward(q)[:3, :3].T
-        return np.array([-z + sign * t * x for t in (TILT, SLIGHT) for sign in (-1.0, 1.0)] if tilted else [-z])
+        return np.array([-z + sign * t * x for t in JAW_TILTS for sign in (-1.0, 1.0)] if tilted else [-z])
