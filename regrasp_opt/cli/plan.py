@@ -75,7 +75,7 @@ def run_plan(
         with working("looking for what would help" if explain else "looking for the causes"):
             explanation = plan.explain(remedies=explain)
     if as_json:
-        more = {} if explanation is None else {"explanation": explanation.data()}
+        more: dict[str, Any] = {} if explanation is None else {"explanation": explanation.data()}
         if search["alternatives"]:
             more |= {"alternatives": [plan_summary(other) for other in plan.alternatives]}
         print(json.dumps(plan_summary(plan) | {"remarks": plan.remarks} | more, allow_nan=False))
