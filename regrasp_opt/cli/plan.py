@@ -75,10 +75,11 @@ def run_plan(
         with working("looking for what would help" if explain else "looking for the causes"):
             explanation = plan.explain(remedies=explain)
     if as_json:
-        more: dict[str, Any] = {} if explanation is None else {"explanation": explanation.data()}
+        more: dict[str, Any] = {"remarks": plan.remarks} if plan.remarks else {}
+        more |= {} if explanation is None else {"explanation": explanation.data()}
         if search["alternatives"]:
             more |= {"alternatives": [plan_summary(other) for other in plan.alternatives]}
-        print(json.dumps(plan_summary(plan) | {"remarks": plan.remarks} | more, allow_nan=False))
+        print(json.dumps(plan_summary(plan) | more, allow_nan=False))
     else:
         _print(plan, explanation, [path for path in (out, html) if path is not None])
         if explanation is not None and explanation.causes and not explain:

@@ -166,19 +166,22 @@ def obstructions(
 def diagnose_poses(
     checker: FeasibilityChecker, poses: Sequence[FloatArray] | FloatArray, rng: np.random.Generator
 ) -> list[Reason | None]:
-    """Return why grasps fail at the first `TOLD_POSES` of `poses` (B, 4, 4), for `TOLD_GRASPS` at each."""
+    """Return why grasps of `checker` fail at the first `TOLD_POSES` of `poses` (B, 4, 4), for `TOLD_GRASPS` at each.
+
+    These grasps are drawn by `rng`.
+    """
     count = len(checker.grasps)
     ids = np.sort(rng.choice(count, min(TOLD_GRASPS, count), replace=False))
     return [failure for T in poses[:TOLD_POSES] for failure in diagnose(checker, T, ids)]
 
 
 def tally(failures: Iterable[Reason | None]) -> Counter[Reason]:
-    """Return how often each failure occurs."""
+    """Return how often each of the `failures` occurs."""
     return Counter(failure for failure in failures if failure is not None)
 
 
 def summary(failures: Iterable[Reason | None], shown: int = 6) -> str:
-    """Return the counts of `failures`, the most frequent first, and what helps against the most frequent cause.
+    """Return the counts of `failures`, the `shown` most frequent first, and what helps against the most frequent cause.
 
     Where there are other causes, the gripper in the table is not asked: these grasps fail wherever the object is moved.
     """

@@ -257,7 +257,7 @@ def counted(counts: Counts) -> str:
 
 
 def regrasps(count: int) -> str:
-    """Return the number of regrasps in words."""
+    """Return `count` regrasps in words."""
     return f"{count} regrasp{'' if count == 1 else 's'}"
 
 

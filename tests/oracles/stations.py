@@ -72,7 +72,7 @@ def fewest(problem, poses, start, goal):
     ends = [problem.feasible_grasps(T) for T in (start, goal)]
     if (ends[0] & ends[1]).any():
         return 0
-    path = next(iter(poses.shortest_paths(*ends, LONGEST)), None)
+    path = next(iter(poses.shortest_paths(*ends, range(1, LONGEST + 1))), None)
     return None if path is None else len(path.placements)
 
 

@@ -101,9 +101,9 @@ def test_more_poses_are_drawn_as_long_as_they_may_save_a_regrasp(brick, task, mo
     lengths = {128: 3, 512: 2, 1024: 2}
     asked = []
 
-    def paths(self, start, goal, longest):
-        asked.append((self.drawn, longest))
-        if lengths[self.drawn] <= longest:
+    def paths(self, start, goal, counts):
+        asked.append((self.drawn, counts.stop - 1))
+        if lengths[self.drawn] in counts:
             chosen = np.arange(lengths[self.drawn])
             everything = np.ones((len(chosen), len(brick.grasps)), dtype=bool)
             yield search.Path(self.numbers[chosen], self.xi[chosen], everything)
@@ -126,7 +126,7 @@ def test_paths_are_the_shortest_and_the_widest_first(seed):
         width = int((sets[a] & sets[b]).sum())
         if width and {a, b} != {"start", "goal"}:
             graph.add_edge(a, b, width=width)
-    found = list(poses.shortest_paths(start, goal, 10))
+    found = list(poses.shortest_paths(start, goal, range(1, 11)))
     if not networkx.has_path(graph, "start", "goal"):
         assert found == []
         return
@@ -140,7 +140,7 @@ def test_paths_are_the_shortest_and_the_widest_first(seed):
     assert widths == sorted(widths, reverse=True)
     assert widths[0] == max(map(width, shortest))
     np.testing.assert_array_equal(found[0].feasible, feasible[found[0].placements])
-    assert list(poses.shortest_paths(start, goal, len(shortest[0]) - 3)) == []
+    assert list(poses.shortest_paths(start, goal, range(1, len(shortest[0]) - 2))) == []
 
 
 def test_poses_without_a_feasible_grasp_are_not_kept(brick):

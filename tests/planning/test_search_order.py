@@ -10,7 +10,7 @@ from regrasp_opt import CostOptions, Recipe, Status, solve_sequence
 from regrasp_opt.connectivity import SequenceObjective
 from regrasp_opt.errors import GraspError, OptionError
 from regrasp_opt.geometry.planar_poses import PlanarPoses
-from regrasp_opt.planning import recipes, search, tasks
+from regrasp_opt.planning import deepening, recipes, tasks
 from regrasp_opt.planning.recipes import RECIPES, as_recipe, paper_recipe
 from regrasp_opt.planning.tasks import random_graspable_pose, random_task
 from regrasp_opt.solvers import Candidates, LangevinRefiner, LatticeRefiner, NlpRefiner, PoseLattice
@@ -39,7 +39,7 @@ def unprovable(monkeypatch):
         tried.append(len(poses) - 2)
         return False
 
-    monkeypatch.setattr(search, "verify_sequence", refuse)
+    monkeypatch.setattr(deepening, "verify_sequence", refuse)
     return tried
 
 
