@@ -83,6 +83,16 @@ class PoseLattice:
         """Return a copy for one search that asks `rule`, too: what it learns of poses would change the next search."""
         return PoseLattice(self.placements, self.xi, self.energies.copy(), rule, self)
 
+    def part(self, poses: BoolArray, grasps: BoolArray) -> PoseLattice:
+        """Return a copy with these `poses` (L,) only, in which all but these `grasps` (G,) are `BLOCKED`."""
+        energies = self.energies[poses]
+        energies[:, ~grasps] = BLOCKED
+        copied = PoseLattice(self.placements[poses], self.xi[poses], energies)
+        for alpha, P in self._likelihoods.items():
+            copied._likelihoods[alpha] = P[poses]
+            copied._likelihoods[alpha][:, ~grasps] = np.exp(-np.float32(BLOCKED / alpha))
+        return copied
+
     @cached_property
     def _settled(self) -> BoolArray:
         return np.zeros(len(self.energies), dtype=bool)

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 
+from regrasp_opt.conventions import IntArray
 from regrasp_opt.planning.plan import RegraspPlan
 from regrasp_opt.planning.plan_data import shared_grasps
+
+TRIES = 3
+"""Plans with the same placements that are like earlier ones, after which others with these are passed over."""
 
 
 class Alternatives:
@@ -23,12 +28,19 @@ class Alternatives:
     def __init__(self, wanted: int, accept: Callable[[RegraspPlan], bool] | None) -> None:
         self._wanted, self._accept = wanted, accept
         self._found: list[RegraspPlan] = []
+        self._alike: Counter[tuple[int, ...]] = Counter()
 
     def __call__(self, plan: RegraspPlan) -> bool:
         """Keep `plan` if it is unlike those before it; return whether there are enough."""
         if (self._accept is None or self._accept(plan)) and all(differ(plan, other) for other in self._found):
             self._found.append(plan)
+        else:
+            self._alike[tuple(plan.placements.tolist())] += 1
         return len(self._found) > self._wanted
+
+    def tried(self, placements: IntArray) -> bool:
+        """Return whether plans with these `placements` (N,) were not kept so often that no more need be verified."""
+        return self._alike[tuple(placements.tolist())] >= TRIES
 
     def deep_enough(self, num_regrasps: int) -> bool:
         """Return whether plans with so many regrasps are more than one longer than the first."""

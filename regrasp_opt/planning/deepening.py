@@ -135,8 +135,13 @@ class Search:
         return accepted
 
     def _was_refused(self, candidates: Candidates, index: int) -> bool:
-        """Return whether the same poses were shown before: several starts may be refined to one minimum."""
+        """Return whether the same poses were shown before, since several starts may be refined to one minimum.
+
+        Where alternatives are looked for, the same placements may have been shown often enough.
+        """
         placements, xi = candidates.placements[index], candidates.xi[index]
+        if isinstance(self.accept, Alternatives) and self.accept.tried(placements):
+            return True
         return any(
             np.array_equal(plan.placements, placements) and np.allclose(plan.xi, xi, atol=SAME) for plan in self.refused
         )

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from regrasp_opt.connectivity import CostOptions, SequenceObjective, block
+from regrasp_opt.connectivity import CostOptions, SequenceObjective
 from regrasp_opt.connectivity.embedding import ProblemEnergy
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
 from regrasp_opt.errors import OptionError
@@ -179,7 +179,7 @@ class _FilteredProblem(RegraspProblem):
         """The poses of the original's lattice that may be used; a choice of grasps is asked about them lazily."""
         free, kept = self.source.free_lattice, self.kept
         there = np.isin(free.placements, kept.rests)
-        part = PoseLattice(free.placements[there], free.xi[there], block(free.energies[there], ~kept.mask))
+        part = free if there.all() and kept.mask.all() else free.part(there, kept.mask)
         return part if kept.choice is None and self.rules.obstacles is None else part.under(self._behind)
 
     def ruled_out(self, placements: Any, xi: Any) -> BoolArray:
