@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, overload
 
 import numpy as np
 
@@ -102,7 +102,11 @@ class Rests(Sequence[Rest]):
     def __len__(self) -> int:
         return len(self.items)
 
-    def __getitem__(self, number):  # type: ignore[no-untyped-def]
+    @overload
+    def __getitem__(self, number: int) -> Rest: ...
+    @overload
+    def __getitem__(self, number: slice) -> tuple[Rest, ...]: ...
+    def __getitem__(self, number: int | slice) -> Rest | tuple[Rest, ...]:
         """Return the rest of this number."""
         return self.items[number]
 
@@ -181,7 +185,7 @@ def check_rests(body: ObjectModel, cell: Workcell) -> None:
                     )
 
 
-def _on(support: Support | Fixture, body: ObjectModel):  # type: ignore[no-untyped-def]
+def _on(support: Support | Fixture, body: ObjectModel) -> Iterator[tuple[int, FloatArray, FloatArray, FloatArray]]:
     """Yield number, T_support_object (4, 4) and limits of xi, (3,) each, of the ways to be on a support."""
     if isinstance(support, Fixture):
         for k, pose in enumerate(support.poses):
