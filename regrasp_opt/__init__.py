@@ -11,6 +11,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from regrasp_opt import notebook
+
 if TYPE_CHECKING:
     from regrasp_opt.connectivity import CostOptions
     from regrasp_opt.errors import RegraspError
@@ -65,6 +67,14 @@ def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'regrasp_opt' has no attribute '{name}'")
     return getattr(import_module(f"regrasp_opt.{_HOMES[name]}"), name)
+
+
+def _page(shown: object) -> str:
+    text: str = import_module("regrasp_opt.viz.page").page_of(shown)
+    return text
+
+
+notebook.drawing[:] = [_page]
 
 
 def __dir__() -> list[str]:

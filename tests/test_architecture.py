@@ -17,7 +17,7 @@ else:
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "regrasp_opt"
 LAYERS = [
-    {"conventions", "errors", "files", "schemas", "threads", "workers"},
+    {"conventions", "errors", "files", "notebook", "schemas", "threads", "workers"},
     {"geometry"},
     {"objects", "end_effectors", "robots"},
     {"scene"},

@@ -12,6 +12,7 @@ import numpy as np
 
 from regrasp_opt.conventions import FloatArray, IntArray, pose_distance
 from regrasp_opt.feasibility.diagnosis import diagnose, summary
+from regrasp_opt.notebook import PageInNotebook
 from regrasp_opt.objects.symmetry import turn_about
 from regrasp_opt.planning.at_rest import EXACT, GivenPose, in_words
 from regrasp_opt.planning.problem import RegraspProblem
@@ -50,7 +51,7 @@ class Transition:
 
 
 @dataclass(frozen=True)
-class PlanData:
+class PlanData(PageInNotebook):
     """The fields of a `RegraspPlan`, and what follows from them."""
 
     status: Status

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from regrasp_opt.conventions import FloatArray
 from regrasp_opt.files import atomic_path
+from regrasp_opt.motion import MotionPlan
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.planning import RegraspPlan
 from regrasp_opt.scene import Workcell
@@ -22,7 +23,7 @@ from regrasp_opt.viz.candidates import CandidateTrace, cost_range, trail
 from regrasp_opt.viz.fields import CostField
 from regrasp_opt.viz.scene import SCALE, PlanScene, SharedGrasps, plan_scene, pose7, problem_scene, scaled_colours
 from regrasp_opt.viz.surfaces import Patch
-from regrasp_opt.viz.track import Track
+from regrasp_opt.viz.track import Track, track_of
 
 
 def write_plan_page(
@@ -53,6 +54,13 @@ def write_problem_page(model: ObjectModel, workcell: Workcell, path: str | os.Pa
 def _write(scene: PlanScene, path: str | os.PathLike[str]) -> None:
     with atomic_path(path) as temporary:
         temporary.write_text(page_text(scene), encoding="utf-8")
+
+
+def page_of(shown: RegraspPlan | MotionPlan) -> str:
+    """Return the page that shows a plan or a motion; that of its plan if the motion was not found."""
+    if isinstance(shown, RegraspPlan):
+        return page_text(plan_scene(shown))
+    return page_text(plan_scene(shown.plan, track_of(shown.plan, shown.segments) if shown.solved else None))
 
 
 def page_text(scene: PlanScene) -> str:

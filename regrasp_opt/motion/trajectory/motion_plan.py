@@ -19,6 +19,7 @@ from regrasp_opt.motion.trajectory.jaw_events import JawEvent, Squeeze, jaw_even
 from regrasp_opt.motion.trajectory.motion_file import SCHEMA, read_motion
 from regrasp_opt.motion.trajectory.scene_export import save_scene
 from regrasp_opt.motion.trajectory.trajectory import Trajectory
+from regrasp_opt.notebook import PageInNotebook
 from regrasp_opt.planning import RegraspPlan
 from regrasp_opt.planning.plan_file import plan_content, plan_from_content
 
@@ -27,7 +28,7 @@ MOST_ROWS = 10**6
 
 
 @dataclass(frozen=True, eq=False)
-class MotionPlan:
+class MotionPlan(PageInNotebook):
     """What `plan_motion` returns.
 
     Attributes
