@@ -8,7 +8,7 @@ from __future__ import annotations
 import html
 from collections.abc import Callable
 
-HEIGHT = 520
+HEIGHT = 600
 """Height of the page in a cell [px]."""
 drawing: list[Callable[[object], str]] = []
 """What returns the page (HTML) of a plan or a motion."""

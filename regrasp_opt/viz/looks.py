@@ -28,6 +28,7 @@ COLOURS = {
     "start": "#0072b2",
     "goal": "#009e73",
     "intermediate": "#cc79a7",
+    "chosen": "#d61a1a",
 }
 """Colours of the parts of a scene; those of object and poses can be told apart by colour-blind people."""
 

@@ -21,6 +21,8 @@ from regrasp_opt.planning import RegraspPlan
 from regrasp_opt.scene import Workcell
 from regrasp_opt.viz.candidates import CandidateTrace, cost_range, trail
 from regrasp_opt.viz.fields import CostField
+from regrasp_opt.viz.legend import legend
+from regrasp_opt.viz.looks import COLOURS
 from regrasp_opt.viz.scene import SCALE, PlanScene, SharedGrasps, plan_scene, pose7, problem_scene, scaled_colours
 from regrasp_opt.viz.surfaces import Patch
 from regrasp_opt.viz.track import Track, track_of
@@ -89,12 +91,15 @@ def _content(scene: PlanScene) -> dict[str, Any]:
             {"name": part.name, "mesh": k, "colour": part.colour, "body": part.body}
             for k, part in enumerate(scene.parts)
         ],
+        "legend": legend(scene),
+        "chosen": COLOURS["chosen"],
         "object": len(meshes) - 2,
         "mark": len(meshes) - 1,
         "ghosts": [{"name": name, "colour": colour, "pose": _rounded(pose)} for name, colour, pose in scene.ghosts],
         "bodies": scene.states.shape[1],
         "states": _packed(scene.states, np.float32),
         "steps": [step._asdict() for step in scene.steps],
+        "stops": [stop._asdict() for stop in scene.stops],
         "seconds": scene.seconds,
         "grasps": [_grasps(shared) for shared in scene.grasps],
         "marks": _rounded(scene.marks),

@@ -39,6 +39,15 @@ class Step(NamedTuple):
     pose: int = -1
 
 
+class Stop(NamedTuple):
+    """A station on the slider: its name, that of its support, and the steps between which the object rests there."""
+
+    name: str
+    support: str
+    first: int
+    last: int
+
+
 class SharedGrasps(NamedTuple):
     """The K shared grasps of one transition.
 
@@ -80,6 +89,8 @@ class PlanScene:
     states : (M, bodies, 7)
         Poses of the moving bodies: position [m] and quaternion (x, y, z, w).
     steps : tuple of Step
+    stops : tuple of Stop
+        Where the plan has the object, in order, as far as the steps get there.
     seconds : float or None
         How long the steps take if they are a motion.
     grasps : tuple of SharedGrasps
@@ -103,6 +114,7 @@ class PlanScene:
     mark: Patch
     states: FloatArray
     steps: tuple[Step, ...]
+    stops: tuple[Stop, ...]
     seconds: float | None
     grasps: tuple[SharedGrasps, ...]
     marks: FloatArray
@@ -120,7 +132,7 @@ def plan_scene(plan: RegraspPlan, track: Track | None = None, candidates: Candid
     parts = _parts(problem.object, cell)
     states, steps, grasps = _picks_and_places(plan)
     if track is not None:
-        moved = track.labels, track.transitions, range(len(states), len(states) + len(track.times))
+        moved = track.labels, track.transitions, range(len(states), len(states) + len(track.times)), track.poses
         steps = [Step(*row) for row in zip(*moved, strict=True)]
         used = dict(zip(track.transitions, track.grasp_ids, strict=True))
         for i, grasp_id in used.items():
@@ -128,6 +140,8 @@ def plan_scene(plan: RegraspPlan, track: Track | None = None, candidates: Candid
         states = np.concatenate([states, _states(plan, track.q, track.jaw, track.T_world_object)])
     names = ["start", *(f"pose {i}" for i in range(1, plan.num_regrasps + 1)), "goal"]
     colours = [COLOURS.get(name, COLOURS["intermediate"]) for name in names]
+    rests = [[k for k, step in enumerate(steps) if step.pose == i] for i in range(len(names))]
+    supports = [station.support or "" for station in plan.stations]
     eye, target = _view(plan.poses, cell)
     return PlanScene(
         title=f"{problem.object.name} in {cell.name}",
@@ -138,6 +152,7 @@ def plan_scene(plan: RegraspPlan, track: Track | None = None, candidates: Candid
         mark=grasp_mark(cell.arm.end_effector).creased(),
         states=states,
         steps=tuple(steps),
+        stops=tuple(Stop(*names, at[0], at[-1]) for *names, at in zip(names, supports, rests, strict=True) if at),
         seconds=None if track is None else float(track.times[-1]),
         grasps=tuple(grasps),
         marks=pose7(problem.grasps.T_object_tcp),
@@ -171,6 +186,7 @@ def problem_scene(model: ObjectModel, cell: Workcell) -> PlanScene:
         mark=grasp_mark(cell.arm.end_effector).creased(),
         states=states,
         steps=tuple(Step(f"placement {i}" if count else "home", -1, i) for i in range(len(states))),
+        stops=(),
         seconds=None,
         grasps=(),
         marks=np.zeros((0, 7)),
@@ -204,7 +220,7 @@ def _view(poses: FloatArray, cell: Workcell) -> tuple[FloatArray, FloatArray]:
 def _subtitle(plan: RegraspPlan, track: Track | None) -> str:
     if not plan.solved:
         return plan.message
-    cost = "" if np.isnan(plan.cost) else f", J_seq {plan.cost:.2f}"
+    cost = "" if np.isnan(plan.cost) else f", connectivity cost J_seq {plan.cost:.2f}"
     duration = "" if track is None else f", motion of {track.times[-1]:.1f} s"
     return "; ".join([f"{plan.num_regrasps} regrasp(s){cost}{duration}", *plan.remarks])
 

@@ -32,6 +32,8 @@ class Track:
     jaw : (M,)
         Opening of the jaw [m].
     T_world_object : (M, 4, 4)
+    poses : tuple of int
+        Number of the plan's pose that the object rests at, -1 while it is carried.
     """
 
     times: FloatArray
@@ -41,6 +43,7 @@ class Track:
     q: FloatArray
     jaw: FloatArray
     T_world_object: FloatArray
+    poses: tuple[int, ...]
 
 
 def track_of(plan: RegraspPlan, segments: Sequence[Segment], rate: float = RATE) -> Track:
@@ -62,11 +65,12 @@ def track_of(plan: RegraspPlan, segments: Sequence[Segment], rate: float = RATE)
         if s.phase.holds:
             carried.add(s.transition)
             tcp = cell.arm.T_world_tcp(q)
-            T = tcp @ invert(grasps.T_object_tcp[s.grasp_id])
+            T, pose = tcp @ invert(grasps.T_object_tcp[s.grasp_id]), -1
         else:
-            T = np.tile(plan.poses[s.transition + (s.transition in carried)], (len(times), 1, 1))
+            pose = s.transition + (s.transition in carried)
+            T = np.tile(plan.poses[pose], (len(times), 1, 1))
         label = f"move {s.transition}: {s.phase.name.lower()}"
-        rows += [(t, label, s.transition, s.grasp_id, *rest) for t, *rest in zip(times, q, jaw, T, strict=True)]
+        rows += [(t, label, s.transition, s.grasp_id, pose, *rest) for t, *rest in zip(times, q, jaw, T, strict=True)]
         began += duration
-    seconds, labels, transitions, grasp_ids, *arrays = zip(*rows, strict=True)
-    return Track(np.array(seconds), labels, transitions, grasp_ids, *(np.array(each) for each in arrays))
+    seconds, labels, transitions, grasp_ids, poses, *arrays = zip(*rows, strict=True)
+    return Track(np.array(seconds), labels, transitions, grasp_ids, *(np.array(each) for each in arrays), poses)

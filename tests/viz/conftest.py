@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 OPTIONS = (
-    *("--headless=new", "--no-sandbox", "--no-first-run", "--hide-scrollbars", "--window-size=640,560"),
+    *("--headless=new", "--no-sandbox", "--no-first-run", "--hide-scrollbars", "--window-size=900,700"),
     *("--disable-gpu", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
     *("--disable-quic", "--disable-background-networking", "--disable-component-update", "--disable-sync"),
     "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",

@@ -17,7 +17,7 @@ from regrasp_opt.viz.scene import plan_scene
 def page_in(shown):
     """Return the page in what a notebook shows."""
     frame = re.fullmatch(r'<iframe srcdoc="([^"]*)" sandbox="allow-scripts" (.*)></iframe>', shown._repr_html_())
-    assert 'height="520"' in frame[2] and "<" not in frame[1]
+    assert 'height="600"' in frame[2] and "<" not in frame[1]
     return html.unescape(frame[1])
 
 
@@ -47,7 +47,7 @@ def test_the_page_draws_inside_another_page(plan, tmp_path, browser, picture, co
     path.write_text(f"<!doctype html><meta charset='utf-8'><p>In [1]</p>{plan._repr_html_()}", encoding="utf-8")
     complaints()
     browser.get(path.as_uri())
-    assert browser.find_element("tag name", "iframe").size["height"] == 520
+    assert browser.find_element("tag name", "iframe").size["height"] == 600
     browser.switch_to.frame(0)
     try:
         assert browser.find_element("id", "title").text == "bottle in nova2-w"

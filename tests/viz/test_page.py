@@ -92,7 +92,7 @@ def test_boxes_and_the_cost_over_the_table_change_the_picture(shown, picture, co
     assert changed(before, without) > 0.003
     element(shown, "field").send_keys("of pose 1")
     assert changed(without, picture()) > 0.03
-    assert element(shown, "what").text == "J_seq"
+    assert element(shown, "what").text == "connectivity cost J_seq (low: more shared grasps)"
     assert complaints() == []
 
 

@@ -28,7 +28,7 @@
   };
   const identity = matrix([0, 0, 0, 0, 0, 0, 1]);
   const perspective = (angle, aspect, near, far) => {
-    const f = 1 / Math.tan(angle / 2);
+    const f = Math.min(1, aspect) / Math.tan(angle / 2); // a narrow window sees as far to the sides as a square one
     return new Float32Array([f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, (far + near) / (near - far), -1,
       0, 0, 2 * far * near / (near - far), 0]);
   };
@@ -170,7 +170,7 @@
     const g = scene.grasps[scene.steps[step].transition];
     return element("marks").checked && g ? g.ids.map((id, k) => ({ id, k, colour: g.colours[k] })) : [];
   };
-  const TAIL = 5, red = [0.84, 0.1, 0.1];
+  const TAIL = 5, red = rgb(scene.chosen);
   const candidatesShown = () => candidates !== null && element("candidates").checked;
   const frame = () => Number(element("iteration").value);
   function* candidateGhosts() { // the accepted one first
@@ -248,11 +248,38 @@
     const drawn = [bodyPose(state, bodies - 1)];
     if (candidatesShown()) drawGhosts(candidateGhosts(), drawn);
     if (element("ghosts").checked) drawGhosts(ghosts, drawn);
+    placeTags();
+  }
+  const corners = [0, 1].flatMap((x) => [0, 1].flatMap((y) => [0, 1].map((z) => [x, y, z])));
+  const ends = [0, 1, 2].map((d) => { // of what marks a grasp
+    const all = decode(scene.meshes[scene.mark].vertices, Float32Array).filter((_, k) => k % 3 === d);
+    return [Math.min(...all), Math.max(...all)];
+  });
+  function markBox(id) { // the rectangle around the mark of a grasp on the screen [px]
+    const m = markMatrix(id), at = corners.map((c) => {
+      const [x, y, z] = c.map((side, d) => ends[d][side]);
+      return onScreen([0, 1, 2].map((r) => m[r] * x + m[4 + r] * y + m[8 + r] * z + m[12 + r]));
+    });
+    const [xs, ys] = [0, 1].map((d) => at.map((p) => p[d]));
+    return [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)];
+  }
+  const boxOf = (id) => { const r = element(id).getBoundingClientRect(); return [r.left, r.top, r.right, r.bottom]; };
+  const heights = [...Array(50).keys()].map((k) => 8 + 10 * k); // of labels above what they name, then below it [px]
+  heights.push(...heights.map((h) => -30 - h));
+  function placeTags() { // where they hide no grasp, no panel and no other label; nowhere if there is no such place
+    const taken = [...marksShown().map(({ id }) => markBox(id)), boxOf("head"), boxOf("bar")];
     for (const { tag, top } of ghosts) {
-      const [x, y] = onScreen(top);
       tag.hidden = !element("ghosts").checked;
-      tag.style.left = `${x}px`;
-      tag.style.top = `${y}px`;
+      if (tag.hidden) continue;
+      const [x, y] = onScreen(top), [w, h] = [tag.offsetWidth, tag.offsetHeight];
+      const up = heights.find((up) => y - up - h >= 0 && y - up <= canvas.clientHeight && !taken.some(
+        (box) => x - w / 2 < box[2] && box[0] < x + w / 2 && y - up - h < box[3] && box[1] < y - up));
+      tag.hidden = up === undefined;
+      if (tag.hidden) continue;
+      taken.push([x - w / 2, y - up - h, x + w / 2, y - up]);
+      tag.style.left = `${x - w / 2}px`;
+      tag.style.top = `${y - up - h}px`;
+      tag.style.setProperty("--line", `${Math.max(up, 0)}px`);
     }
   }
   const redraw = () => { if (!pending) { pending = true; requestAnimationFrame(render); } };
@@ -270,31 +297,50 @@
     const field = fields[Number(element("field").value)];
     const energies = g && g.energies[0] !== null;
     const costs = field ? [field.low, field.high] : candidatesShown() ? candidates.ends : null;
-    element("what").textContent = costs ? "J_seq" : energies ? "energy of a grasp" : "clearance [mm]";
+    element("what").textContent = costs ? "connectivity cost J_seq (low: more shared grasps)"
+      : energies ? "grasps by learned energy (low: the model is sure of them)" : "grasps by clearance [mm]";
     const ends = costs ? costs : g ? g.ends : [null, null];
     [element("low").textContent, element("high").textContent] = ends.map((x) => x === null ? "-" : String(Number(x.toFixed(3))));
     const causes = causesHere();
-    for (const id of ["scale", "ends"]) element(id).style.visibility = g && !causes || costs ? "visible" : "hidden";
+    for (const id of ["what", "scale", "ends"]) element(id).hidden = !(g && !causes || costs);
     element("causekeys").replaceChildren(...(causes ? causes.legend : []).filter(([, , count]) => count)
-      .map(([name, colour, count]) => key(`${count} ${name}`, colour)));
-    if (causes) element("info").textContent = "Click a grasp.";
+      .map(([name, colour, count]) => key(`${count} ${name}`, [colour])));
+    if (causes) element("info").textContent = "Click or tap a grasp.";
     if (candidates) element("stage").textContent = candidates.labels[frame()];
     redraw();
   }
   const describe = (g, k) => `grasp ${g.ids[k]}, one of ${g.ids.length} shared: energy ${number(g.energies[k], 3)}, ` +
-    `clearance ${number(1e3 * g.clearance[k], 1)} mm.${moves ? "" : " Click another."}`;
-  const key = (name, colour) => {
-    const key = document.createElement("span"), patch = document.createElement("i");
+    `clearance ${number(1e3 * g.clearance[k], 1)} mm.${moves ? "" : " Click or tap another."}`;
+  const key = (name, colours, opacity = 1) => {
+    const key = document.createElement("span");
     key.className = "key";
-    patch.style.background = colour;
-    key.append(patch, name);
+    for (const colour of colours) {
+      const patch = document.createElement("i");
+      Object.assign(patch.style, { background: colour, opacity });
+      key.append(patch);
+    }
+    key.append(name);
     return key;
   };
+  scene.stops.forEach(({ name, support, first, last }) => { // a bar while the object rests there, and its name
+    const bar = document.createElement("i"), label = document.createElement("button");
+    const along = (step) => 100 * step / Math.max(scene.steps.length - 1, 1), middle = along((first + last) / 2);
+    Object.assign(bar.style, { background: ghosts.find((g) => g.name === name).colour, left: `${along(first)}%`,
+      width: `calc(${along(last - first)}% + 8px)` });
+    Object.assign(label.style, { left: `${middle}%`, transform: `translateX(-${middle}%)`,
+      maxWidth: `${100 / scene.stops.length}%` });
+    label.append(name, document.createElement("br"), support);
+    label.title = support ? `${name}, on ${support}` : name;
+    label.addEventListener("click", () => { playing = false; caption(); show(first); });
+    element("stops").append(bar, label);
+  });
   function choose(transition, k) { chosen[transition] = k; show(step); }
   element("title").textContent = scene.title;
   element("subtitle").textContent = scene.subtitle;
   element("scale").style.background = `linear-gradient(90deg, ${scene.scale.join(",")})`;
-  element("keys").append(...ghosts.map(({ name, colour }) => key(name, colour)));
+  element("keys").append(...scene.legend.map(({ name, colours, opacity }) => key(name, colours, opacity)));
+  element("more").open = window.innerWidth > 560 && window.innerHeight > 400;
+  element("more").addEventListener("toggle", redraw);
   element("markline").hidden = scene.grasps.length === 0;
   element("causeline").hidden = scene.causes.length === 0;
   element("causes").checked = scene.causes.length > 0 && scene.grasps.length === 0;
@@ -324,35 +370,51 @@
     requestAnimationFrame(tick);
   });
 
-  // ---- pointer: drag turns, with the right button or shift it shifts, the wheel zooms, a click chooses a grasp
-  let grip = null;
+  // ---- pointer: drag turns, with the right button, shift or two fingers it shifts, wheel and pinch zoom, a click or tap
+  // chooses a grasp
+  const pointers = new Map(); // where each finger is
+  let touched = null, shifts = false;
+  const apart = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);
+  const zoom = (factor) => { camera.distance = Math.min(6, Math.max(0.2, camera.distance * factor)); };
+  const shift = (dx, dy) => {
+    const gain = camera.distance / Math.min(canvas.clientHeight, canvas.clientWidth) * 0.62;
+    const [c, s] = [Math.cos(camera.turn), Math.sin(camera.turn)];
+    camera.target[0] += gain * (s * dx - c * dy);
+    camera.target[1] += gain * (-c * dx - s * dy);
+  };
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());
   canvas.addEventListener("pointerdown", (event) => {
-    grip = { x: event.clientX, y: event.clientY, from: [event.clientX, event.clientY], shift: event.button || event.shiftKey };
+    pointers.set(event.pointerId, [event.clientX, event.clientY]);
+    touched = pointers.size === 1 ? [event.clientX, event.clientY] : null;
+    shifts = event.button || event.shiftKey;
     canvas.setPointerCapture(event.pointerId);
   });
   canvas.addEventListener("pointermove", (event) => {
-    if (!grip) return;
-    const dx = event.clientX - grip.x, dy = event.clientY - grip.y;
-    [grip.x, grip.y] = [event.clientX, event.clientY];
-    if (grip.shift) {
-      const gain = camera.distance / canvas.clientHeight * 0.62, [c, s] = [Math.cos(camera.turn), Math.sin(camera.turn)];
-      camera.target[0] += gain * (s * dx - c * dy);
-      camera.target[1] += gain * (-c * dx - s * dy);
-    } else {
+    const before = pointers.get(event.pointerId), now = [event.clientX, event.clientY];
+    if (!before) return;
+    pointers.set(event.pointerId, now);
+    const [dx, dy] = [now[0] - before[0], now[1] - before[1]];
+    const other = [...pointers].find(([id]) => id !== event.pointerId);
+    if (other) {
+      zoom(apart(before, other[1]) / Math.max(apart(now, other[1]), 1));
+      shift(dx / 2, dy / 2);
+    } else if (shifts) shift(dx, dy);
+    else {
       camera.turn -= dx * 0.006;
       camera.rise = Math.min(1.55, Math.max(-0.2, camera.rise + dy * 0.006));
     }
     redraw();
   });
   canvas.addEventListener("pointerup", (event) => {
-    const still = grip && Math.hypot(event.clientX - grip.from[0], event.clientY - grip.from[1]) < 4;
-    grip = null;
-    if (still && !moves) pick(event.clientX, event.clientY);
+    const at = [event.clientX, event.clientY], still = touched && apart(at, touched) < (event.pointerType === "mouse" ? 4 : 10);
+    pointers.delete(event.pointerId);
+    touched = null;
+    if (still && !moves) pick(...at);
   });
+  canvas.addEventListener("pointercancel", (event) => pointers.delete(event.pointerId));
   canvas.addEventListener("wheel", (event) => {
     event.preventDefault();
-    camera.distance = Math.min(6, Math.max(0.2, camera.distance * Math.exp(event.deltaY * 0.001)));
+    zoom(Math.exp(event.deltaY * 0.001));
     redraw();
   }, { passive: false });
   window.addEventListener("resize", redraw);
@@ -377,5 +439,5 @@
   }
   show(0);
   const look = (nearer) => { camera.distance *= nearer; redraw(); };
-  window.plan = { show, choose, screen, look, scene, get step() { return step; }, get state() { return stateOf(step); } };
+  window.plan = { show, choose, screen, ghost: (k) => onScreen(ghosts[k].top), look, scene, camera, get step() { return step; }, get state() { return stateOf(step); } };
 })();
