@@ -152,7 +152,7 @@ def plan_scene(plan: RegraspPlan, track: Track | None = None, candidates: Candid
         mark=grasp_mark(cell.arm.end_effector).creased(),
         states=states,
         steps=tuple(steps),
-        stops=tuple(Stop(*names, at[0], at[-1]) for *names, at in zip(names, supports, rests, strict=True) if at),
+        stops=tuple(Stop(name, on, at[0], at[-1]) for name, on, at in zip(names, supports, rests, strict=True) if at),
         seconds=None if track is None else float(track.times[-1]),
         grasps=tuple(grasps),
         marks=pose7(problem.grasps.T_object_tcp),

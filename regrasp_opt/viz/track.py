@@ -28,22 +28,22 @@ class Track:
     transitions : tuple of int
     grasp_ids : tuple of int
         Numbers into ``problem.grasps`` of the grasp that each moment's transition uses.
+    poses : tuple of int
+        Number of the plan's pose that the object rests at, -1 while it is carried.
     q : (M, dof)
     jaw : (M,)
         Opening of the jaw [m].
     T_world_object : (M, 4, 4)
-    poses : tuple of int
-        Number of the plan's pose that the object rests at, -1 while it is carried.
     """
 
     times: FloatArray
     labels: tuple[str, ...]
     transitions: tuple[int, ...]
     grasp_ids: tuple[int, ...]
+    poses: tuple[int, ...]
     q: FloatArray
     jaw: FloatArray
     T_world_object: FloatArray
-    poses: tuple[int, ...]
 
 
 def track_of(plan: RegraspPlan, segments: Sequence[Segment], rate: float = RATE) -> Track:
@@ -73,4 +73,4 @@ def track_of(plan: RegraspPlan, segments: Sequence[Segment], rate: float = RATE)
         rows += [(t, label, s.transition, s.grasp_id, pose, *rest) for t, *rest in zip(times, q, jaw, T, strict=True)]
         began += duration
     seconds, labels, transitions, grasp_ids, poses, *arrays = zip(*rows, strict=True)
-    return Track(np.array(seconds), labels, transitions, grasp_ids, *(np.array(each) for each in arrays), poses)
+    return Track(np.array(seconds), labels, transitions, grasp_ids, poses, *(np.array(each) for each in arrays))
