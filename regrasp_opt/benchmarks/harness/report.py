@@ -16,6 +16,7 @@ from typing import Any
 
 from markdown_it import MarkdownIt
 
+from regrasp_opt.benchmarks.harness.glance import glance, in_order
 from regrasp_opt.benchmarks.harness.runner import Row, git_revision, write_csv
 from regrasp_opt.files import atomic_path
 
@@ -128,7 +129,9 @@ def _processor() -> str:
 
 
 def write_document(folder: Path, path: Path) -> None:
-    """Write the tables of all experiments whose results are in `folder` to the Markdown file `path`."""
+    """Write the tables of all experiments whose results are in `folder` to `path` (Markdown), results first."""
+    stored = [json.loads(each.read_text(encoding="utf-8")) for each in sorted(folder.glob("*/summary.json"))]
+    summaries = in_order(summary for summary in stored if summary.get("format") == FORMAT)
     parts = [
         "# Benchmarks",
         "",
@@ -138,10 +141,12 @@ def write_document(folder: Path, path: Path) -> None:
         "model and checker differ from the paper's there too.",
         "",
     ]
-    for stored in sorted(folder.glob("*/summary.json")):
-        summary = json.loads(stored.read_text(encoding="utf-8"))
-        if summary.get("format") == FORMAT:
-            parts += _section(summary, 2)
+    lines = glance(summaries)
+    if lines:
+        parts += ["## Results at a glance", "", *markdown(("what", "measured", "section"), lines), ""]
+        parts += ["Figures of several rows are the least and the greatest; the sections say what they mean.", ""]
+    for summary in summaries:
+        parts += _section(summary, 2)
     _write(path, "\n".join(parts))
 
 
