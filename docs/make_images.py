@@ -32,7 +32,7 @@ from regrasp_opt.viz.plots import plot_cost_landscape, plot_cost_traces, plot_po
 
 IMAGES, SCENES = (Path(__file__).parent / name for name in ("images", "scenes"))
 START, GOAL = "1:0.26,0.40,-30", "0:-0.26,0.40,10"
-HIDE_CARDS = "for (const card of document.querySelectorAll('.card')) card.style.visibility = 'hidden';"
+HIDE_CARDS = "for (const card of document.querySelectorAll('.card')) card.style.display = 'none';"
 BLOCKED = "0:0.26,0.38,20", "1:-0.26,0.40,10"
 SWEPT = "0:0.29,0.47,70", "0:-0.39,0.55,0"
 """Ends on one side of the bottle that share no grasp."""

@@ -142,3 +142,12 @@ def test_the_conda_recipe_asks_for_the_same_versions():
     wanted = dict(re.findall(r'^    "([\w.-]+)>=([\d.]+)', project[: project.index("[project.optional")], re.M))
     wanted["python"] = re.search(r'requires-python = ">=(.+)"', project)[1]
     assert found == wanted
+
+
+def test_the_first_page_installs_as_the_readme_does_and_has_a_gallery():
+    page, readme = ((ROOT / name).read_text(encoding="utf-8") for name in ("docs/index.md", "README.md"))
+    (command,) = re.findall(r"^```bash\n(.*)\n```$", page, re.M)
+    assert f"```bash\n{command}\n```" in readme
+    assert page.index(command) < page.index("| you want to | read |") < page.index("## Gallery")
+    pictures, made = set(re.findall(r"\(images/([\w.]+)\)", page)), (ROOT / "docs/make_images.py").read_text("utf-8")
+    assert len(pictures) > 6 and all(f'"{name}"' in made for name in pictures)
