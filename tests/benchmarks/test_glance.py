@@ -23,7 +23,7 @@ def motions(*rows):
 
 def test_a_figure_is_a_value_or_a_range_over_the_rows():
     (line,) = glance([motions(("bottle", 50, 100.0, 0.5), ("mug", 50, 96.0, 0.91), ("cup", 50, None, float("nan")))])
-    assert line[1] == "pairs 50; with a motion [%] 96 to 100; plan and motion, median [s] 0.5 to 0.91"
+    assert line[1] == "50 pairs; 96 to 100 % with a motion; half of plans with motions within 0.5 to 0.91 s"
     assert line[2] == "[Motion, and more](#motion-and-more)"
 
 
@@ -32,7 +32,7 @@ def test_only_the_rows_that_are_meant_count():
     rows = (("bottle", 25, 55.5, 100.0), ("all", 100, 52.4, 99.0))
     table = dict(title="The travel, lowered at equal N", columns=columns, rows=rows)
     (line,) = glance([{"name": "joint", "title": "Joint", "tables": [table]}])
-    assert line[1] == "pairs 100; lowered by, median [%] 52.4; verified [%] 99"
+    assert line[1] == "100 pairs; lowered by 52.4 % in the median; 99 % verified"
 
 
 @pytest.mark.parametrize("summaries", [[], [motions()], [motions(("bottle", None, None, None))]])
@@ -60,7 +60,7 @@ def test_the_written_document_begins_with_the_results(tmp_path):
     write_document(tmp_path, tmp_path / "benchmarks.md")
     text = (tmp_path / "benchmarks.md").read_text(encoding="utf-8")
     assert re.findall("^## (.*)", text, re.M) == ["Results at a glance", "Motion", "Ablations"]
-    assert "with a motion [%] 98 | [Motion](#motion) |" in text
+    assert "98 % with a motion | [Motion](#motion) |" in text
 
 
 def stored_tables(text):

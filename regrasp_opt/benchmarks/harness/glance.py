@@ -24,7 +24,7 @@ ORDER = (
 
 
 class Headline(NamedTuple):
-    """What a line says, the table that it takes figures from, and the columns by the words for them.
+    """What a line says, the table that it takes figures from, and the columns with the words for their figures.
 
     `where` is a column and the value that rows must have in it, all rows without it.
     """
@@ -37,16 +37,16 @@ class Headline(NamedTuple):
 
 
 PLANNERS = {
-    "pairs": "pairs",
-    "solved [%]": "solved [%]",
-    "median [s]": "median [s]",
-    "90 % [s]": "90 % within [s]",
-    "before [s]": "made once before [s]",
+    "pairs": "{} pairs",
+    "solved [%]": "{} % solved",
+    "median [s]": "half within {} s",
+    "90 % [s]": "90 % within {} s",
+    "before [s]": "after {} s of preparation, once",
 }
 POSES = {
-    "ours J": "ours",
-    "Langevin J": "our energy, the paper's optimiser",
-    "paper's preset J": "the paper's method, trained here",
+    "ours J": "ours {} %",
+    "Langevin J": "our energy with the paper's optimiser {} %",
+    "paper's preset J": "the paper's method trained here {} %",
 }
 HEADLINES = (
     Headline(
@@ -67,43 +67,43 @@ HEADLINES = (
         "multi-step",
         "Random pairs without a shared grasp that the exact search solves, by object",
         "Against the exact oracle",
-        {"pairs": "pairs", "S.H. of these [%]": "verified plans [%]", "N no more [%]": "with no more regrasps [%]"},
+        {"pairs": "{} pairs", "S.H. of these [%]": "{} % solved", "N no more [%]": "{} % with no more regrasps"},
     ),
     *(
         Headline(
             "hard-tiers",
             f"Few grasps, obstacles, a narrow workspace: tasks of {words}, by object",
             "Success by the oracle's fewest regrasps",
-            {"solved [%]": "solved [%]", "solved [s]": "in the mean [s]"},
+            {"solved [%]": "{} % solved", "solved [s]": "{} s in the mean"},
             ("oracle N", number),
         )
         for number, words in ((2, "two regrasps"), ("3+", "three regrasps or more"))
     ),
     Headline(
         "one-step",
-        "Valid ones among the ten cheapest intermediate poses [%], by object",
+        "Valid ones among the ten cheapest intermediate poses, by object",
         "S.V. by cost and generator [%]",
-        POSES | {"paper J": "printed in the paper"},
+        POSES | {"paper J": "printed in the paper {} %"},
         ("K_top", 10),
     ),
     Headline(
         "unseen",
-        "The same with grasps that training has not seen [%]",
+        "The same with grasps that training has not seen",
         "S.V. on unseen grasps [%]",
-        POSES | {"paper Usn": "printed in the paper"},
+        POSES | {"paper Usn": "printed in the paper {} %"},
         ("K_top", 10),
     ),
     Headline(
         "motion",
         "Joint motions for pairs that need a regrasp, by object",
         "Motions",
-        {"pairs": "pairs", "moves [%]": "with a motion [%]", "both [s]": "plan and motion, median [s]"},
+        {"pairs": "{} pairs", "moves [%]": "{} % with a motion", "both [s]": "half of plans with motions within {} s"},
     ),
     Headline(
         "joint",
         "Joint travel of a plan, lowered at the same number of regrasps",
         "The travel, lowered at equal N",
-        {"pairs": "pairs", "in all [%]": "lowered by, median [%]", "verified [%]": "verified [%]"},
+        {"pairs": "{} pairs", "in all [%]": "lowered by {} % in the median", "verified [%]": "{} % verified"},
         ("object", "all"),
     ),
 )
@@ -144,4 +144,4 @@ def _figure(words: str, values: list[Any]) -> str:
     if not numbers:
         return ""
     low, high = min(numbers), max(numbers)
-    return f"{words} {low:g}" if low == high else f"{words} {low:g} to {high:g}"
+    return words.format(f"{low:g}" if low == high else f"{low:g} to {high:g}")
