@@ -149,5 +149,6 @@ def test_the_first_page_installs_as_the_readme_does_and_has_a_gallery():
     (command,) = re.findall(r"^```bash\n(.*)\n```$", page, re.M)
     assert f"```bash\n{command}\n```" in readme
     assert page.index(command) < page.index("| you want to | read |") < page.index("## Gallery")
-    pictures, made = set(re.findall(r"\(images/([\w.]+)\)", page)), (ROOT / "docs/make_images.py").read_text("utf-8")
-    assert len(pictures) > 6 and all(f'"{name}"' in made for name in pictures)
+    pictures, made = re.findall(r"\(images/([\w-]+)\.png\)", page), (DOCS / "make_images.py").read_text("utf-8")
+    scenes = [path.stem for path in (ROOT / "docs/scenes").glob("*.toml")]
+    assert len(pictures) > 6 and all(f'"{name}.png"' in made or name in scenes for name in pictures)
