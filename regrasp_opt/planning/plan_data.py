@@ -41,13 +41,16 @@ class Transition:
         Joint configurations [rad] that hold the grasp at the first and at the second pose, as near to each other as
         the arm's branches allow.
     clearance : (K,) float64
-        Least distance of arm and gripper to table and obstacles, and of the arm to the object, over both [m].
+        Least distance of arm and gripper to supports and obstacles, and of the arm to the object, over both [m].
+    arm : str
+        Name of the arm that makes it.
     """
 
     grasp_ids: IntArray
     q_pick: FloatArray
     q_place: FloatArray
     clearance: FloatArray
+    arm: str = "arm"
 
 
 @dataclass(frozen=True)

@@ -301,4 +301,5 @@ def _transition(record: _Transition, problem: RegraspProblem, path: Path) -> Tra
         np.array(record.q_pick, dtype=np.float64).reshape(count, dof),
         np.array(record.q_place, dtype=np.float64).reshape(count, dof),
         np.array(record.clearance, dtype=np.float64),
+        problem.workcell.arm.name,
     )

@@ -13,7 +13,7 @@ import numpy as np
 from regrasp_opt.connectivity import CostOptions, SequenceObjective, TableRule
 from regrasp_opt.connectivity.embedding import ProblemEnergy
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, as_pose, planar_transform
-from regrasp_opt.errors import ModelError, PoseError
+from regrasp_opt.errors import ModelError, PoseError, UnknownNameError
 from regrasp_opt.feasibility import FeasibilityChecker
 from regrasp_opt.feasibility.standing import support_of
 from regrasp_opt.grasps import GraspSet
@@ -247,12 +247,22 @@ class ProblemData:
         """
         return rest_within(self.nearest_rests(T), as_tolerance(tolerance), "pose")
 
-    def feasible_grasps(self, T: Any) -> BoolArray:
+    def feasible_grasps(self, T: Any, arm: str | None = None) -> BoolArray:
         """Return which grasps (G,) are feasible at object pose `T` (4, 4) T_world_object, exactly.
+
+        Parameters
+        ----------
+        T : (4, 4)
+        arm : str, optional
+            Name of the arm; there is one.
 
         Raises
         ------
         PoseError
             If `T` is not a rigid transform.
+        UnknownNameError
+            If there is no arm of that name.
         """
+        if arm not in (None, self.workcell.arm.name):
+            raise UnknownNameError("arm", str(arm), [self.workcell.arm.name])
         return self.checker.feasible(as_pose(T))

@@ -121,6 +121,7 @@ def enumerate_transition(checker: FeasibilityChecker, a: PoseFeasibility, b: Pos
         np.array(picks, dtype=np.float64).reshape(shape),
         np.array(places, dtype=np.float64).reshape(shape),
         np.array(clearances, dtype=np.float64),
+        checker.workcell.arm.name,
     )
 
 

@@ -24,11 +24,14 @@ class Arm:
         Where the robot's base stands.
     end_effector : EndEffector
         The tool; its flange frame is the robot's tip frame.
+    name : str
+        Its name in plans.
     """
 
     robot: Robot
     T_world_base: FloatArray
     end_effector: EndEffector
+    name: str = "arm"
 
     @cached_property
     def T_base_world(self) -> FloatArray:

@@ -181,6 +181,7 @@ def _build(path: Path, source: str, override: str | os.PathLike[str] | None) -> 
             _robot(arm, path, keys),
             _pose(arm.position, arm.rpy),
             _end_effector(arm, path, keys) if override is None else load_end_effector(override),
+            arm.name,
         ),
         supports=tuple(_support(section, path, f"supports.{i}") for i, section in enumerate(content.supports)),
         obstacles=tuple(_obstacle(section, path) for section in content.obstacles),

@@ -140,7 +140,7 @@ def scene_content(cell: Workcell) -> dict[str, Any]:
     obstacles = [ObstacleRecord.model_validate(_obstacle(shape, shape.name in cell.added)) for shape in cell.obstacles]
     record = SceneRecord.model_validate(
         {
-            "arms": [{"name": "arm", **_placed(cell.arm.T_world_base), **arm}],
+            "arms": [{"name": cell.arm.name, **_placed(cell.arm.T_world_base), **arm}],
             "supports": [_support(support) for support in cell.supports],
             "obstacles": obstacles,
             "added_fingerprint": added_fingerprint(obstacles),

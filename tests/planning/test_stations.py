@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from regrasp_opt.connectivity import CostOptions
 from regrasp_opt.conventions import pose_distance, rotation_rpy, translation
-from regrasp_opt.errors import PoseError, WorkcellError
+from regrasp_opt.errors import PoseError, UnknownNameError, WorkcellError
 from regrasp_opt.geometry.shapes import shape_geometry
 from regrasp_opt.geometry.solids import Solid, separation
 from regrasp_opt.motion import plan_motion
@@ -23,6 +23,7 @@ CELL = """
 schema = 2
 
 [[arms]]
+name = "left"
 robot = "nova2"
 end_effector = "w"
 
@@ -131,6 +132,14 @@ def test_plans_are_verified_by_the_certificate_and_moved(problem, regrasped, tmp
     regrasped.save(tmp_path / "plan.json")
     again = RegraspPlan.load(tmp_path / "plan.json")
     assert [s[:2] for s in again.stations] == [s[:2] for s in regrasped.stations] and again.residuals().hold
+    assert {t.arm for t in (*regrasped.transitions, *again.transitions)} == {"left"}
+
+
+def test_the_arm_has_the_name_of_the_file(problem):
+    T = problem.pose(0, -0.1, 0.3)
+    np.testing.assert_array_equal(problem.feasible_grasps(T, arm="left"), problem.feasible_grasps(T))
+    with pytest.raises(UnknownNameError, match="right"):
+        problem.feasible_grasps(T, arm="right")
 
 
 def test_a_leaning_nest_is_a_goal(problem):

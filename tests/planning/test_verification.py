@@ -107,7 +107,7 @@ class Arm(Checker):
         self.rows, self.blocked = branches, blocked
         turn = 2 * np.pi
         robot = SimpleNamespace(dof=1, nearest_equivalent=lambda q, to: np.where(q - to > np.pi, q - turn, q + 0 * to))
-        self.workcell = SimpleNamespace(arm=SimpleNamespace(robot=robot))
+        self.workcell = SimpleNamespace(arm=SimpleNamespace(robot=robot, name="left"))
 
     def poses(self):
         return {name: PoseFeasibility(self, np.full((4, 4), float(ord(name)))) for name in self.table}

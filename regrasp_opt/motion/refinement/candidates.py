@@ -145,6 +145,7 @@ class CandidateCheck:
                 np.vstack([best.choice.q[i, :1], t.q_pick[others]]),
                 np.vstack([best.choice.q[i, 1:], t.q_place[others]]),
                 np.append(clearances[i], t.clearance[others]),
+                t.arm,
             )
         cost, xi = best.measures.cost, wrap_yaw(best.xi)
         refined = replace(self.plan, poses=poses, xi=xi, transitions=tuple(transitions), cost=cost)

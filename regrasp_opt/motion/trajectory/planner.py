@@ -149,7 +149,7 @@ def _held(problem: RegraspProblem, transition: Transition) -> Transition:
     grasps, effector = problem.grasps.subset(transition.grasp_ids), problem.workcell.arm.end_effector
     keep = [k for k, failure in enumerate(hold_failures(grasps, problem.object, effector)) if failure is None]
     t = transition
-    return Transition(t.grasp_ids[keep], t.q_pick[keep], t.q_place[keep], t.clearance[keep])
+    return Transition(t.grasp_ids[keep], t.q_pick[keep], t.q_place[keep], t.clearance[keep], t.arm)
 
 
 class _Transition:
