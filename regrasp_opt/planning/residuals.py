@@ -25,12 +25,13 @@ from regrasp_opt.conventions import (
     pose_distance,
 )
 from regrasp_opt.geometry.shapes import shape_geometry
-from regrasp_opt.geometry.solids import Solid, distance
+from regrasp_opt.geometry.solids import Solid, distance, separation
 from regrasp_opt.grasps import hold_failures
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.objects.symmetry import is_symmetry
 from regrasp_opt.planning.plan_data import PlanData, Transition
 from regrasp_opt.planning.problem import RegraspProblem
+from regrasp_opt.planning.rests import NEST_OVERLAP
 from regrasp_opt.scene import Fixture, Support, Workcell
 from regrasp_opt.scene.collision_world import CollisionWorld, ContactPhase
 
@@ -186,10 +187,11 @@ def _edge_violations(plan: PlanData) -> list[str]:
             if (np.abs(touching - support.center) > support.size / 2 + PLACEMENT_TOLERANCE).any():
                 texts.append(f"the object stands over the edge of the {support.name} at pose {i}")
         for other, solids in zip(cell.supports, shapes, strict=True):
-            if other is support or (isinstance(other, Support) and _clears(other, T, body)):
+            if isinstance(other, Support) and (other is support or _clears(other, T, body)):
                 continue
-            least = min(distance(body.solid, solid, T, pose) for solid, pose in solids) if solids else np.inf
-            if least < cell.clearance.gripper - CLEARANCE_TOLERANCE:
+            required = -NEST_OVERLAP if other is support else cell.clearance.gripper
+            least = min((separation(body.solid, solid, T, pose) for solid, pose in solids), default=np.inf)
+            if least < required - CLEARANCE_TOLERANCE:
                 texts.append(f"the object is {least:.2g} m from the {other.name} at pose {i}")
     return texts
 

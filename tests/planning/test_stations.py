@@ -148,6 +148,16 @@ def test_a_leaning_nest_is_a_goal(problem):
     assert plan.solved and plan.stations[-1][:2] == ("nest", 0) and plan.residuals().hold
 
 
+def test_the_certificate_sees_a_nest_in_the_object(problem):
+    goal, rng = problem.pose(0, support="nest"), np.random.default_rng(0)
+    plan = solve_sequence(problem, random_graspable_pose(problem, rng), goal)
+    nest = problem.workcell.supports[3]
+    deeper = [replace(s, pose=s.pose @ translation(0.0, 0.0, 0.004)) if "floor" in s.name else s for s in nest.shapes]
+    supports = (*problem.workcell.supports[:3], replace(nest, shapes=tuple(deeper)))
+    worse = replace(plan, problem=replace(problem, workcell=replace(problem.workcell, supports=supports)))
+    assert any("the object is -0.0035 m from the nest" in text for text in worse.residuals().problems)
+
+
 @pytest.mark.parametrize(
     ("moved", "said"),
     [
