@@ -19,6 +19,7 @@ from regrasp_opt.errors import GraspError, OptionError
 from regrasp_opt.feasibility.checker import FeasibilityChecker
 from regrasp_opt.feasibility.diagnosis import diagnose_poses, summary
 from regrasp_opt.files import UNREADABLE_ARRAYS, atomic_path, content_hash, machine_memory
+from regrasp_opt.geometry.planar_poses import PlanarPoses
 from regrasp_opt.grasps import GraspSet
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.scene import Workcell
@@ -87,9 +88,7 @@ def random_poses(
     placements: FloatArray, bounds: FloatArray, count: int, rng: np.random.Generator
 ) -> tuple[IntArray, FloatArray]:
     """Return placement numbers (count,) and planar parameters (count, 3), uniform over `bounds` (2, 2) and a turn."""
-    low, high = bounds
-    xi = np.column_stack([rng.uniform(low, high, (count, 2)), rng.uniform(0, 2 * np.pi, count)])
-    return rng.integers(len(placements), size=count), xi
+    return PlanarPoses.level(placements, bounds).draw(count, rng)
 
 
 def label_pairs(

@@ -157,11 +157,11 @@ def _below(T: FloatArray, body: ObjectModel, cell: Workcell) -> tuple[Support | 
 
 
 def _turn_violations(plan: PlanData) -> list[str]:
-    """Return which ends are turned by what is no symmetry of the object."""
+    """Return which ends are turned in a way that is not a symmetry of the object."""
     ends = zip(("start", "goal"), plan.given, strict=True)
     turned = {name: end.turn for name, end in ends if end is not None and end.turn is not None}
     wrong = [name for name, turn in turned.items() if not is_symmetry(plan.problem.object, turn)]
-    return [f"the {name} is turned by what is no symmetry of the object" for name in wrong]
+    return [f"the {name} is turned in a way that is not a symmetry of the object" for name in wrong]
 
 
 def _leans_out(points: FloatArray) -> bool:

@@ -106,13 +106,13 @@ def solve_sequence(
     ModelError
         If the refiner needs an energy, and a file is broken or none can be trained (`ProblemData.energy`).
     """
-    counts = _counts(max_regrasps, num_regrasps)
+    counts, clock = _counts(max_regrasps, num_regrasps), _clock(time_limit)
     others = Alternatives(_whole("alternatives", alternatives, MOST_ALTERNATIVES), accept)
-    how = options or CostOptions(), as_seed(seed), _clock(time_limit), others if alternatives else accept
+    how = options or CostOptions(), as_seed(seed), clock, others if alternatives else accept
     recipe = None if isinstance(refiner, str) and refiner == EXACT else as_recipe(refiner)
     with one_blas_thread():
         problem = filtered(problem, placements, supports, grasps)
-        ends = _ends(problem, start, goal, how[2], as_tolerance(tolerance), symmetry=symmetry)
+        ends = _ends(problem, start, goal, clock, as_tolerance(tolerance), symmetry=symmetry)
         kind = _ExactSearch if recipe is None else Search
         return others.of(_run(kind(problem, recipe or Recipe(LatticeRefiner()), ends, *how), counts))
 

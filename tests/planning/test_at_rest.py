@@ -225,7 +225,7 @@ def test_the_file_keeps_what_was_measured(noisy, tmp_path):
 def test_a_turn_that_is_no_symmetry_does_not_hold(noisy):
     turned = GivenPose(noisy.given[1].T, np.array([0.0, 0.0, 1.0]))
     problems = replace(noisy, given=(None, turned)).residuals().problems
-    assert problems == ("the goal is turned by what is no symmetry of the object",)
+    assert problems == ("the goal is turned in a way that is not a symmetry of the object",)
 
 
 if __name__ == "__main__":
