@@ -32,14 +32,15 @@ class Alternatives:
 
     def __call__(self, plan: RegraspPlan) -> bool:
         """Keep `plan` if it is unlike those before it; return whether there are enough."""
-        if (self._accept is None or self._accept(plan)) and all(differ(plan, other) for other in self._found):
-            self._found.append(plan)
-        else:
-            self._alike[tuple(plan.placements.tolist())] += 1
+        if self._accept is None or self._accept(plan):
+            if all(differ(plan, other) for other in self._found):
+                self._found.append(plan)
+            else:
+                self._alike[tuple(plan.placements.tolist())] += 1
         return len(self._found) > self._wanted
 
     def tried(self, placements: IntArray) -> bool:
-        """Return whether plans with these `placements` (N,) were not kept so often that no more need be verified."""
+        """Return whether enough plans with these `placements` (N,) were like others that no more need be verified."""
         return self._alike[tuple(placements.tolist())] >= TRIES
 
     def deep_enough(self, num_regrasps: int) -> bool:

@@ -5,7 +5,7 @@ import pytest
 
 from regrasp_opt.errors import OptionError, UnknownNameError
 from regrasp_opt.planning import RegraspProblem, solve_sequence
-from regrasp_opt.planning.alternatives import differ
+from regrasp_opt.planning.alternatives import Alternatives, differ
 from regrasp_opt.planning.filters import from_above
 from regrasp_opt.planning.tasks import random_task
 
@@ -84,6 +84,15 @@ def test_alternatives_differ_from_each_other(problem, tasks):
 def test_alternatives_are_accepted_one_by_one(problem, tasks):
     plan = solve_sequence(problem, *tasks[0][:2], alternatives=2, accept=lambda plan: 4 in plan.placements)
     assert all(4 in other.placements for other in (plan, *plan.alternatives))
+
+
+def test_a_callers_condition_is_asked_about_every_plan(problem, tasks):
+    """What the caller refuses says nothing about other poses in the same placements."""
+    others = Alternatives(1, lambda plan: False)
+    plan = solve_sequence(problem, *tasks[0][:2])
+    assert not any(others(plan) for _ in range(10)) and not others.tried(plan.placements)
+    alike = Alternatives(1, None)
+    assert not any(alike(plan) for _ in range(4)) and alike.tried(plan.placements)
 
 
 @pytest.mark.parametrize(
