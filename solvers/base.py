@@ -88,10 +88,10 @@ class Refiner(Protocol):
 
 def keep_better(objective: SequenceObjective, starts: Candidates, xi: FloatArray) -> Candidates:
     """Return `xi` (B, N, 3) as candidates, with the start instead wherever that costs less."""
-    start_cost, cost = (objective.cost(starts.placements, each) for each in (starts.xi, xi))
-    worse = cost > start_cost
+    cost = objective.cost(starts.placements, xi)
+    worse = cost > starts.cost
     return Candidates(
-        starts.placements, np.where(worse[:, None, None], starts.xi, xi), np.where(worse, start_cost, cost)
+        starts.placements, np.where(worse[:, None, None], starts.xi, xi), np.where(worse, starts.cost, cost)
     )
 
 

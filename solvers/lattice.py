@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from regrasp_opt.connectivity import BLOCKED, Rule, SequenceObjective, block
+from regrasp_opt.connectivity import BLOCKED, SequenceObjective, block
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
 from regrasp_opt.energy.model import GraspEnergy
 from regrasp_opt.geometry.planar_poses import PlanarPoses
@@ -51,6 +51,8 @@ _HOPELESS = 10.0
 """Energy above which a grasp need not be asked about: 200 of them are worth a hundredth of a grasp."""
 
 
+FreeRule = Callable[[IntArray, FloatArray], BoolArray]
+"""Returns which grasps (L, G) are ruled out at `placements` (L,) and `xi` (L, 3)."""
 PromiseRule = Callable[[IntArray, FloatArray, BoolArray], BoolArray]
 """Returns which of the candidates (B, G) are ruled out at `placements` (B,) and `xi` (B, 3)."""
 
@@ -60,7 +62,7 @@ class PoseLattice:
     """L poses: ``placements`` (L,), ``xi`` (L, 3) and their energies (L, G) in single precision.
 
     A `rule` that costs more than an energy is not asked about all of them, but when a pose is about to be used, about
-    its grasps with any promise (`settle`).
+    its grasps that are useful and have any promise (`settle`).
     """
 
     placements: IntArray
@@ -72,11 +74,10 @@ class PoseLattice:
 
     def likelihoods(self, alpha: float) -> NDArray[np.float32]:
         """Return ``P = exp(-E / alpha)`` (L, G)."""
+        if self.source is not None and not self._settled.any():
+            return self.source.likelihoods(alpha)
         if alpha not in self._likelihoods:
-            if self.source is not None and not self._settled.any():
-                self._likelihoods[alpha] = self.source.likelihoods(alpha).copy()
-            else:
-                self._likelihoods[alpha] = np.exp(-self.energies / np.float32(alpha))
+            self._likelihoods[alpha] = np.exp(-self.energies / np.float32(alpha))
         return self._likelihoods[alpha]
 
     def under(self, rule: PromiseRule) -> PoseLattice:
@@ -95,19 +96,28 @@ class PoseLattice:
 
     @cached_property
     def _settled(self) -> BoolArray:
-        return np.zeros(len(self.energies), dtype=bool)
+        return np.zeros(self.energies.shape, dtype=bool)
 
-    def settle(self, poses: IntArray) -> bool:
-        """Block what the rule rules out at the `poses` of these numbers; return whether any had not been asked yet."""
-        asked = np.unique(poses[~self._settled[poses]])
-        if self.rule is None or len(asked) == 0:
-            return False
-        ruled_out = self.rule(self.placements[asked], self.xi[asked], self.energies[asked] < _HOPELESS)
-        self.energies[asked] = block(self.energies[asked], ruled_out)
-        for alpha, P in self._likelihoods.items():
-            P[asked] = np.exp(-self.energies[asked] / np.float32(alpha))
-        self._settled[asked] = True
-        return True
+    def settle(self, poses: IntArray, grasps: IntArray) -> IntArray:
+        """Block those of the `grasps` that the rule rules out at `poses`; return the poses that were asked about now.
+
+        Poses are numbers (...), grasps (A,); a pose is asked about a grasp only once.
+        """
+        if self.rule is None:
+            return np.zeros(0, dtype=np.int64)
+        asked = np.unique(poses)
+        at = asked[:, None], grasps
+        candidates = np.zeros((len(asked), self.energies.shape[1]), dtype=bool)
+        candidates[:, grasps] = (self.energies[at] < _HOPELESS) & ~self._settled[at]
+        self._settled[at] = True
+        new = candidates.any(axis=1)
+        asked = asked[new]
+        if len(asked):
+            ruled_out = self.rule(self.placements[asked], self.xi[asked], candidates[new])
+            self.energies[asked] = block(self.energies[asked], ruled_out)
+            for alpha, P in self._likelihoods.items():
+                P[asked] = np.exp(-self.energies[asked] / np.float32(alpha))
+        return asked
 
     @cached_property
     def cells(self) -> IntArray:
@@ -119,7 +129,7 @@ class PoseLattice:
         return np.unique(np.column_stack([self.placements, x, y, quarter]), axis=0, return_inverse=True)[1]
 
     @staticmethod
-    def build(energy: GraspEnergy, placements: PlanarPoses, rule: Rule | None = None) -> PoseLattice:
+    def build(energy: GraspEnergy, placements: PlanarPoses, rule: FreeRule | None = None) -> PoseLattice:
         """Evaluate `energy` on the lattice over the `placements` and their limits.
 
         Grasps that `rule` rules out are `BLOCKED`; where it does so at all positions of a placement and yaw, the energy
@@ -183,14 +193,19 @@ def lattice_starts(
 
     Those with a pair below the `LEAST_CHANCE` are left out, so there may be none.
     """
+    useful, alpha = objective.useful_grasps(num_regrasps), objective.options.alpha
+    ends = [np.exp(-end / alpha).astype(np.float32) for end in (objective.start_energy, objective.goal_energy)]
+    reach = np.stack([lattice.likelihoods(alpha) @ end for end in ends])
     for _ in range(1 if lattice.rule is None else _RANKINGS):
-        ranked = _ranked(lattice, objective, num_regrasps, copy.deepcopy(rng))
+        ranked = _ranked(lattice, objective, reach, num_regrasps, copy.deepcopy(rng))
         found, known, first = ranked[:0], True, 0
         while len(found) < count and first < len(ranked):
             size = max(count, first, 1 if lattice.rule is None else _PORTION)
             portion = _worth(lattice, objective, ranked[first : first + size])
             first += size
-            if lattice.settle(portion):
+            asked = lattice.settle(portion, useful)
+            if len(asked):
+                reach[:, asked] = [np.exp(-lattice.energies[asked] / np.float32(alpha)) @ end for end in ends]
                 known, portion = False, _worth(lattice, objective, portion)
             found = np.concatenate([found, portion])
         if known:  # what was ranked first is what it seemed to be
@@ -202,18 +217,22 @@ def lattice_starts(
 
 
 def _ranked(
-    lattice: PoseLattice, objective: SequenceObjective, num_regrasps: int, rng: np.random.Generator
+    lattice: PoseLattice,
+    objective: SequenceObjective,
+    reach: NDArray[np.float32],
+    num_regrasps: int,
+    rng: np.random.Generator,
 ) -> IntArray:
-    """Return chains (C, N) of poses by their chance, the best of each coarse cell first."""
-    alpha = objective.options.alpha
-    P = lattice.likelihoods(alpha)
-    reach = [P @ np.exp(-end / alpha).astype(np.float32) for end in (objective.start_energy, objective.goal_energy)]
-    from_start, to_goal = (shared_cost(mass) for mass in reach)
+    """Return chains (C, N) of poses by their chance, the best of each coarse cell first.
+
+    `reach` (2, L) are the expected shared grasps of each pose with start and goal.
+    """
+    from_start, to_goal = shared_cost(reach)
     weights = objective.placements.weights[lattice.placements]
     if num_regrasps == 1:
-        chains, cost = np.arange(len(P))[:, None], from_start + to_goal
+        chains, cost = np.arange(reach.shape[1])[:, None], from_start + to_goal
     else:
-        chains, cost = _chains(P, from_start, to_goal, num_regrasps, rng)
+        chains, cost = _chains(lattice.likelihoods(objective.options.alpha), from_start, to_goal, num_regrasps, rng)
     if weights.any():
         cost = cost + weights[chains].sum(axis=1)
     ranked = chains[np.argsort(cost, kind="stable")[:RANKED]]
@@ -261,9 +280,12 @@ def _layer(cost: NDArray[Any], rng: np.random.Generator) -> IntArray:
 
 def _different(cells: IntArray) -> IntArray:
     """Return the positions in a ranking of chains such that the best chain of each coarse cell (C, N) comes first."""
-    first = np.sort(np.unique(cells, axis=0, return_index=True)[1])
-    rest = np.setdiff1d(np.arange(len(cells)), first)
-    return np.concatenate([first, rest])
+    key = cells[:, 0]
+    for column in cells.T[1:]:
+        key = np.unique(key, return_inverse=True)[1] * (cells.max() + 1) + column
+    first = np.zeros(len(cells), dtype=bool)
+    first[np.unique(key, return_index=True)[1]] = True
+    return np.concatenate([np.flatnonzero(first), np.flatnonzero(~first)])
 
 
 @dataclass(frozen=True)

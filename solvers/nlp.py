@@ -16,7 +16,7 @@ import numpy as np
 
 from regrasp_opt.connectivity import BLOCKED, SequenceObjective
 from regrasp_opt.connectivity.casadi_costs import layers_parameter
-from regrasp_opt.conventions import FloatArray, IntArray
+from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
 from regrasp_opt.energy.casadi_energy import CasadiEnergy
 from regrasp_opt.energy.model import GraspEnergy
 from regrasp_opt.solvers.base import Candidates, Refinement, keep_better
@@ -56,8 +56,8 @@ class NlpRefiner:
         solves, grasps = [], []
         with lock:
             for placements, xi in zip(starts.placements, starts.xi, strict=True):
-                ids, ends = _active_grasps(objective, placements, xi)
                 blocked = objective.ruled_out(placements, xi)
+                ids, ends = _active_grasps(objective, blocked)
                 program = self._program(objective, len(xi), len(ids))
                 planar = objective.placements[placements]
                 layers = layers_parameter(objective.energy, planar, ids)
@@ -87,22 +87,22 @@ class NlpRefiner:
         return known[key]
 
 
-def useful_grasps_near(objective: SequenceObjective, placements: IntArray, xi: FloatArray) -> IntArray:
-    """Return the grasps (A,) that can matter from one start, `placements` (N,) and `xi` (N, 3).
+def useful_grasps_near(objective: SequenceObjective, blocked: BoolArray) -> IntArray:
+    """Return the grasps (A,) that can matter from one start, where those `blocked` (N, G) are ruled out.
 
     What is ruled out at every intermediate pose is left out.
     """
-    useful = objective.useful_grasps(len(xi))
-    return useful[~objective.ruled_out(placements, xi)[:, useful].all(axis=0)]
+    useful = objective.useful_grasps(len(blocked))
+    return useful[~blocked[:, useful].all(axis=0)]
 
 
-def _active_grasps(objective: SequenceObjective, placements: IntArray, xi: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return the grasps (A,) to solve with from one start and their energies (A, 2) at both ends.
+def _active_grasps(objective: SequenceObjective, blocked: BoolArray) -> tuple[IntArray, FloatArray]:
+    """Return the grasps (A,) to solve with from one start, and their energies (A, 2) at both ends.
 
     A is rounded up to one of a few sizes, so that solvers can be kept; what fills it up is blocked at both ends.
     """
     ends = np.stack([objective.start_energy, objective.goal_energy], axis=1)
-    useful = useful_grasps_near(objective, placements, xi)
+    useful = useful_grasps_near(objective, blocked)
     others = np.setdiff1d(np.arange(len(ends)), useful)
     size = next((n for n in ACTIVE_SIZES if n >= len(useful)), len(ends))
     ends[others] = BLOCKED

@@ -14,8 +14,11 @@ from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
 from regrasp_opt.energy.model import GraspEnergy
 from regrasp_opt.geometry.planar_poses import PlanarPoses
 
-Rule = Callable[[IntArray, FloatArray], BoolArray]
-"""Returns which grasps (..., G) are known to be infeasible at `placements` (...) and `xi` (..., 3)."""
+Rule = Callable[[IntArray, FloatArray, BoolArray], BoolArray]
+"""Returns which grasps (..., G) are known to be infeasible at `placements` (...) and `xi` (..., 3).
+
+What costs much to know need be known of the `useful` ones (G,) only.
+"""
 
 
 _AT_ONCE = 100
@@ -33,10 +36,10 @@ class TableRule:
     point: FloatArray
     table: FloatArray
 
-    def __call__(self, placements: IntArray, xi: FloatArray) -> BoolArray:
+    def __call__(self, placements: IntArray, xi: FloatArray, useful: BoolArray | None = None) -> BoolArray:
         """Return which grasps (..., G) are ruled out at `placements` (...) and planar parameters `xi` (..., 3).
 
-        These are the ones whose point in the table is within the table's edges there.
+        These are the ones whose point in the table is within the table's edges there, `useful` or not.
         """
         numbers, flat = placements.reshape(-1), xi.reshape(-1, 3)
         portions = [slice(first, first + _AT_ONCE) for first in range(0, len(numbers), _AT_ONCE)]
@@ -105,10 +108,15 @@ class SequenceObjective:
         return block(self.energy(self.poses(placements, xi), dtype), self.ruled_out(placements, xi))
 
     def ruled_out(self, placements: IntArray, xi: FloatArray) -> BoolArray:
-        """Return which grasps (..., G) are ruled out at intermediate poses: `placements` (...) and `xi` (..., 3)."""
+        """Return which grasps (..., N, G) are ruled out at intermediate poses: `placements` (..., N), `xi` (..., N, 3).
+
+        Of those that cannot matter (`useful_grasps`), not all that are need be.
+        """
         if self.rule is None:
             return np.zeros((*np.shape(placements), len(self.energy)), dtype=bool)
-        return self.rule(placements, xi)
+        useful = np.zeros(len(self.energy), dtype=bool)
+        useful[self.useful_grasps(np.shape(placements)[-1])] = True
+        return self.rule(placements, xi, useful)
 
     def useful_grasps(self, num_regrasps: int) -> IntArray:
         """Return the grasps (A,) that matter for sequences of `num_regrasps` intermediate poses.

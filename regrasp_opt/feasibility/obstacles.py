@@ -17,16 +17,19 @@ from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, invert
 from regrasp_opt.feasibility.checker import FeasibilityChecker
 from regrasp_opt.feasibility.tabletop import wrist_bodies
 from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh, Shape, surface_points
-from regrasp_opt.scene import Support
+from regrasp_opt.grasps import GraspSet
+from regrasp_opt.scene import Arm, Support
 
 SPACING = 0.03
-"""Largest distance of the points of the tool, and of those of a mesh, that are looked at [m]."""
+"""Largest distance of the points of the tool that are looked at [m]."""
+_BETWEEN = 0.015
+"""Side of the cubes in each of which one point of a mesh is looked at [m]."""
 _AT_ONCE = 4096
 """Tool poses that are looked at together: some ten MB of points."""
 
 
 class _Around(NamedTuple):
-    """An obstacle: its shape, the world in its frame (4, 4), the box around it in the world (2, 3).
+    """An obstacle: its shape, the world in its frame (4, 4), the box around it in the world (2, 3) [m].
 
     ``points`` (P, 3) are on the surface of a mesh, in the world; other shapes have none. ``board`` is the number of the
     support that it is, -1 where it is none or belongs to a fixture.
@@ -39,6 +42,38 @@ class _Around(NamedTuple):
     board: int
 
 
+class ToolShape:
+    """The tool at each of G grasps, in the frame of the flange: points in it, and boxes within its bodies.
+
+    Attributes
+    ----------
+    points : (G, P, 3)
+        On gripper and fingers, and in the wrist [m].
+    T_core_flange : (G, K, 4, 4)
+        The flange in the frames of the boxes.
+    core : (K, 3)
+        Half the sizes of the boxes [m].
+    low, high, middle : (G, 3)
+        Of the box around the points [m].
+    radius : (G,)
+        Of a ball around the points, at `middle` [m].
+    """
+
+    def __init__(self, arm: Arm, grasps: GraspSet) -> None:
+        effector = arm.end_effector
+        fixed = [_grid(shape) for shape in effector.body]
+        fixed += [_axis(geometry, T) for geometry, T in wrist_bodies(arm.robot)]
+        fingers = effector.finger_boxes(0.0, effector.pre_opening)
+        self.points = effector.points_at_widths(fixed, [_grid(box) for box in fingers], grasps.width)
+        cores = [_core(shape) for shape in (*effector.body, *fingers)]
+        poses = np.tile([core.pose for core in cores], (len(grasps), 1, 1, 1))
+        poses[:, len(effector.body) :, :3, 3] += effector.finger_shifts(grasps.width)
+        self.T_core_flange, self.core = invert(poses), np.array([core.size for core in cores]) / 2
+        self.low, self.high = self.points.min(axis=1), self.points.max(axis=1)
+        self.middle = (self.low + self.high) / 2
+        self.radius = np.linalg.norm(self.points - self.middle[:, None], axis=2).max(axis=1)
+
+
 class ObstacleRule:
     """Which poses and grasps the obstacles of a workcell rule out, and supports that the object is not on.
 
@@ -46,27 +81,18 @@ class ObstacleRule:
     ----------
     checker : FeasibilityChecker
         Of G grasps.
+    tool : ToolShape
+        At these grasps.
     """
 
-    def __init__(self, checker: FeasibilityChecker) -> None:
-        self._checker, cell = checker, checker.workcell
+    def __init__(self, checker: FeasibilityChecker, tool: ToolShape) -> None:
+        self._checker, self._tool, cell = checker, tool, checker.workcell
         self._obstacles = [_around(shape) for shape in cell.obstacles]
         for number, support in enumerate(cell.supports if len(cell.supports) > 1 else ()):
             board = number if isinstance(support, Support) else -1
             self._obstacles += [_around(shape, board) for shape in support.shapes]
-        effector, grasps = cell.arm.end_effector, checker.grasps
-        fixed = [_grid(shape) for shape in effector.body]
-        fixed += [_axis(geometry, T) for geometry, T in wrist_bodies(cell.arm.robot)]
-        fingers = effector.finger_boxes(0.0, effector.pre_opening)
-        self._points = effector.points_at_widths(fixed, [_grid(box) for box in fingers], grasps.width)  # (G, P, 3)
-        cores = [_core(shape) for shape in (*effector.body, *fingers)]
-        poses = np.tile([core.pose for core in cores], (len(grasps), 1, 1, 1))  # (G, K, 4, 4)
-        poses[:, len(effector.body) :, :3, 3] += effector.finger_shifts(grasps.width)
-        self._T_core_flange = invert(poses)
-        self._core = np.array([core.size for core in cores]) / 2  # (K, 3)
-        self._box = self._points.min(axis=1), self._points.max(axis=1)  # (G, 3) each, around the tool
-        self._middle = (self._box[0] + self._box[1]) / 2
-        self._radius = np.linalg.norm(self._points - self._middle[:, None], axis=2).max(axis=1)
+        self._boxes = np.array([each.box for each in self._obstacles])  # (O, 2, 3)
+        self._boards = np.array([each.board for each in self._obstacles])
 
     def __call__(self, T: FloatArray, on: IntArray, candidates: BoolArray) -> BoolArray:
         """Return what is ruled out (B, G) at object poses `T` (B, 4, 4) T_world_object.
@@ -84,35 +110,38 @@ class ObstacleRule:
 
     def _object_in_the_way(self, T: FloatArray, on: IntArray) -> BoolArray:
         ball, margin = self._checker.object_ball, self._checker.workcell.clearance.gripper
-        centers, near = T[:, :3, :3] @ ball.middle + T[:, :3, 3], np.zeros(len(T), dtype=bool)
-        for each in self._obstacles:
-            near |= (on != each.board) & (_distance(centers, each.box) <= ball.radius + margin)
+        near = self._near(T[:, :3, :3] @ ball.middle + T[:, :3, 3], ball.radius + margin, on).any(axis=0)
         found = np.zeros(len(T), dtype=bool)
         found[near] = [self._checker.object_overlaps(pose, margin) is not None for pose in T[near]]
         return found
 
+    def _near(self, centers: FloatArray, radius: FloatArray | float, on: IntArray) -> BoolArray:
+        """Return which obstacles (O, M) may reach balls at `centers` (M, 3); objects are on boards `on` (M,)."""
+        low, high = self._boxes[:, None, 0], self._boxes[:, None, 1]
+        beyond = np.maximum(np.maximum(low - centers, centers - high), 0.0)
+        return np.asarray(((beyond**2).sum(axis=-1) <= radius**2) & (on != self._boards[:, None]))
+
     def _tool_in_obstacle(self, T: FloatArray, on: IntArray, grasp_ids: IntArray) -> BoolArray:
-        flange = self._checker.flange_poses(T, grasp_ids)
-        centers = np.einsum("mij,mj->mi", flange[:, :3, :3], self._middle[grasp_ids]) + flange[:, :3, 3]
-        found = np.zeros(len(T), dtype=bool)
-        for each in self._obstacles:
-            near = ~found & (on != each.board) & (_distance(centers, each.box) <= self._radius[grasp_ids])
-            near = np.flatnonzero(near)
+        flange, tool = self._checker.flange_poses(T, grasp_ids), self._tool
+        centers = np.einsum("mij,mj->mi", flange[:, :3, :3], tool.middle[grasp_ids]) + flange[:, :3, 3]
+        around, found = self._near(centers, tool.radius[grasp_ids], on), np.zeros(len(T), dtype=bool)
+        for number in np.flatnonzero(around.any(axis=1)).tolist():
+            each, near = self._obstacles[number], np.flatnonzero(around[number] & ~found)
             if isinstance(each.shape, Mesh):
                 found[near] = self._holds(each.points, flange[near], grasp_ids[near])
             else:
                 T_shape_flange = each.T_shape_world @ flange[near]
                 reaches = self._reaches(each.shape, T_shape_flange, grasp_ids[near])
                 near, T_shape_flange = near[reaches], T_shape_flange[reaches]
-                points = _moved(T_shape_flange, self._points[grasp_ids[near]])
+                points = _moved(T_shape_flange, tool.points[grasp_ids[near]])
                 found[near] = _inside(each.shape, points).any(axis=1)
         return found
 
     def _reaches(self, shape: Box | Cylinder, T_shape_flange: FloatArray, grasp_ids: IntArray) -> BoolArray:
         """Return for which tools (M,), at (M, 4, 4), the box around the tool may reach the one around `shape`."""
         half = shape.size / 2 if isinstance(shape, Box) else np.array([shape.radius, shape.radius, shape.length / 2])
-        R, extent = T_shape_flange[:, :3, :3], (self._box[1] - self._box[0]) / 2
-        middle = np.einsum("mij,mj->mi", R, self._middle[grasp_ids]) + T_shape_flange[:, :3, 3]
+        R, extent, center = T_shape_flange[:, :3, :3], (self._tool.high - self._tool.low) / 2, self._tool.middle
+        middle = np.einsum("mij,mj->mi", R, center[grasp_ids]) + T_shape_flange[:, :3, 3]
         beyond: FloatArray = np.abs(middle) - np.einsum("mij,mj->mi", np.abs(R), extent[grasp_ids])
         return np.asarray((beyond < half).all(axis=1))
 
@@ -123,19 +152,22 @@ class ObstacleRule:
         for first in range(0, len(flange), portion):
             ids = grasp_ids[first : first + portion]
             local = _moved(invert(flange[first : first + portion]), points)  # (M, P, 3)
-            low, high = (box[ids][:, None] for box in self._box)
+            low, high = self._tool.low[ids][:, None], self._tool.high[ids][:, None]
             m, p = np.nonzero((local > low).all(axis=-1) & (local < high).all(axis=-1))
-            T = self._T_core_flange[ids[m]]
+            T = self._tool.T_core_flange[ids[m]]
             inner = np.einsum("nkij,nj->nki", T[..., :3, :3], local[m, p]) + T[..., :3, 3]
-            found[first + m[(np.abs(inner) < self._core).all(axis=-1).any(axis=-1)]] = True
+            found[first + m[(np.abs(inner) < self._tool.core).all(axis=-1).any(axis=-1)]] = True
         return found
 
 
 def _around(shape: Shape, board: int = -1) -> _Around:
     corners, points = surface_points(shape), np.zeros((0, 3))
     if isinstance(shape, Mesh):
-        points, _ = trimesh.remesh.subdivide_to_size(corners, shape.faces, SPACING)
-        corners = points
+        surface = trimesh.Trimesh(corners, shape.faces, process=False)
+        some, _ = trimesh.sample.sample_surface(surface, 4 * int(np.ceil(surface.area / _BETWEEN**2)), seed=0)
+        points = np.concatenate([corners, some])
+        cells = np.unique(np.floor(points / _BETWEEN).astype(np.int64), axis=0, return_index=True)[1]
+        points = points[cells]
     elif isinstance(shape, Cylinder):  # those on the rims do not reach out as far as the cylinder
         rim = np.array(np.meshgrid(*[(-h, h) for h in (shape.radius, shape.radius, shape.length / 2)]))
         corners = _moved(shape.pose, rim.reshape(3, -1).T)
@@ -154,12 +186,6 @@ def _moved(T: FloatArray, points: FloatArray) -> FloatArray:
     """Return `points` (..., P, 3) moved by `T` (..., 4, 4)."""
     moved: FloatArray = points @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
     return moved
-
-
-def _distance(points: FloatArray, box: FloatArray) -> FloatArray:
-    """Return the distances (M,) of `points` (M, 3) from a box (2, 3) along the axes."""
-    distance: FloatArray = np.linalg.norm(np.maximum(np.maximum(box[0] - points, points - box[1]), 0.0), axis=1)
-    return distance
 
 
 def _inside(shape: Box | Cylinder, points: FloatArray) -> BoolArray:

@@ -182,11 +182,12 @@ class _FilteredProblem(RegraspProblem):
         part = free if there.all() and kept.mask.all() else free.part(there, kept.mask)
         return part if kept.choice is None and self.rules.obstacles is None else part.under(self._behind)
 
-    def ruled_out(self, placements: Any, xi: Any) -> BoolArray:
+    def ruled_out(self, placements: Any, xi: Any, useful: BoolArray | None = None) -> BoolArray:
         numbers, xi = np.asarray(placements), np.asarray(xi, dtype=np.float64)
-        out = self.source.ruled_out(numbers, xi) | ~np.isin(numbers, self.kept.rests)[..., None]
-        T, flat = self.rests.planar.at(numbers, xi).reshape(-1, 4, 4), out.reshape(-1, out.shape[-1])
-        return ~self.kept.allowed(T, ~flat).reshape(out.shape)
+        out = self.source.ruled_out(numbers, xi, useful) | ~np.isin(numbers, self.kept.rests)[..., None]
+        T, asked = self.rests.planar.at(numbers, xi), ~out if useful is None else useful & ~out
+        allowed = self.kept.allowed(T.reshape(-1, 4, 4), asked.reshape(-1, asked.shape[-1])).reshape(asked.shape)
+        return out | (asked & ~allowed)
 
     def objective(
         self, start_energy: FloatArray, goal_energy: FloatArray, options: CostOptions | None = None

@@ -151,9 +151,12 @@ class ProblemData:
         """A lattice for one search: `free_lattice`, or a copy that asks the obstacles as well."""
         return self.free_lattice.under(self.rules.behind_obstacles) if self.rules.obstacles else self.free_lattice
 
-    def ruled_out(self, placements: Any, xi: Any) -> BoolArray:
-        """Return which grasps (..., G) are known to be infeasible at numbers (...) of rests and `xi` (..., 3)."""
-        return self.rules(np.asarray(placements), np.asarray(xi, dtype=np.float64))
+    def ruled_out(self, placements: Any, xi: Any, useful: BoolArray | None = None) -> BoolArray:
+        """Return which grasps (..., G) are known to be infeasible at numbers (...) of rests and `xi` (..., 3).
+
+        What obstacles rule out is asked about the `useful` grasps (G,) only, by default about all.
+        """
+        return self.rules(np.asarray(placements), np.asarray(xi, dtype=np.float64), useful)
 
     def objective(
         self, start_energy: FloatArray, goal_energy: FloatArray, options: CostOptions | None = None

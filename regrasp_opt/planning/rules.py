@@ -14,7 +14,7 @@ from regrasp_opt.connectivity import TableRule
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
 from regrasp_opt.feasibility import FeasibilityChecker
 from regrasp_opt.feasibility.held_tool import wrist_in_object
-from regrasp_opt.feasibility.obstacles import ObstacleRule
+from regrasp_opt.feasibility.obstacles import ObstacleRule, ToolShape
 from regrasp_opt.feasibility.tabletop import points_in_support
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.planning.rests import Rests
@@ -65,7 +65,11 @@ class GraspRules:
     def obstacles(self) -> ObstacleRule | None:
         """What obstacles, and supports that the object is not on, rule out; None where there are none."""
         cell = self._checker.workcell
-        return ObstacleRule(self._checker) if cell.obstacles or len(cell.supports) > 1 else None
+        return ObstacleRule(self._checker, self._tool) if cell.obstacles or len(cell.supports) > 1 else None
+
+    @cached_property
+    def _tool(self) -> ToolShape:
+        return ToolShape(self._checker.workcell.arm, self._checker.grasps) if self._same is None else self._same._tool
 
     def free_space(self, placements: IntArray, xi: FloatArray) -> BoolArray:
         """Return which grasps (..., G) table and object rule out at `placements` (...) and `xi` (..., 3)."""
@@ -78,7 +82,7 @@ class GraspRules:
         T, on = self._rests.planar.at(placements, xi).reshape(-1, 4, 4), self._rests.supports[placements].reshape(-1)
         return self.obstacles(T, on, candidates.reshape(-1, candidates.shape[-1])).reshape(candidates.shape)
 
-    def __call__(self, placements: IntArray, xi: FloatArray) -> BoolArray:
-        """Return which grasps (..., G) are ruled out by any of the rules."""
+    def __call__(self, placements: IntArray, xi: FloatArray, useful: BoolArray | None = None) -> BoolArray:
+        """Return which grasps (..., G) are ruled out; obstacles are asked about the `useful` (G,), by default all."""
         ruled_out = self.free_space(placements, xi)
-        return ruled_out | self.behind_obstacles(placements, xi, ~ruled_out)
+        return ruled_out | self.behind_obstacles(placements, xi, ~ruled_out if useful is None else useful & ~ruled_out)

@@ -43,14 +43,15 @@ def sequence_nlp(
     xi = np.asarray(guess, dtype=np.float64)
     if xi.shape != (count, 3):
         raise OptionError(f"the guess has shape {xi.shape}; give {count} rows (x, y, theta)")
+    blocked = problem.ruled_out(numbers, xi)
     if mask is None and objective is not None:
-        mask = np.isin(np.arange(len(energy)), useful_grasps_near(objective, numbers, xi))
+        mask = np.isin(np.arange(len(energy)), useful_grasps_near(objective, blocked))
     functions = energy.casadi_functions(
         placements=numbers.tolist(),
         start=ends[0],
         goal=ends[1],
         mask=mask,
-        blocked=problem.ruled_out(numbers, xi),
+        blocked=blocked,
         options=options,
     )
     values = {"mask": np.ones(len(energy))} if isinstance(mask, str) else {}

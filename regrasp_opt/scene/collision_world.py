@@ -8,6 +8,7 @@ the arm's own. The tool may touch what turns with the flange.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from enum import Enum, auto
 from functools import cached_property
@@ -15,8 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from regrasp_opt.conventions import FloatArray
-from regrasp_opt.geometry.shapes import Shape, shape_geometry
+from regrasp_opt.conventions import FloatArray, IntArray
+from regrasp_opt.geometry.shapes import Mesh, Shape, shape_geometry
 from regrasp_opt.geometry.solids import Solid, distance
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.scene.workcell import Workcell
@@ -57,6 +58,8 @@ class Body(NamedTuple):
         In the frame of its joint; in the world if it stands still. Fingers have zero opening; the object's depends on
         the phase and means nothing here.
     geometry : coal.CollisionGeometry
+    faces : (F, 3) array, optional
+        The triangles of a mesh, where they are at hand.
     """
 
     name: str
@@ -64,6 +67,7 @@ class Body(NamedTuple):
     joint: int
     pose: FloatArray
     geometry: Any
+    faces: IntArray | None = None
 
 
 Pair = tuple[int, int, float]
@@ -114,11 +118,14 @@ class CollisionWorld:
     def solids(self) -> list[Solid]:
         """The bodies with their insides, each in its own frame."""
         known = {} if self._model is None else {self.object: self._model.solid}
-        return [known.get(i) or Solid(body.geometry) for i, body in enumerate(self.bodies)]
+        return [known.get(i) or Solid(body.geometry, body.faces) for i, body in enumerate(self.bodies)]
 
     def _add(self, shapes: Sequence[Shape], prefix: str, joint: int, T: FloatArray) -> tuple[int, ...]:
         first = len(self.bodies)
-        self.bodies += [Body(prefix + s.name, s.name, joint, T @ s.pose, shape_geometry(s)) for s in shapes]
+        for shape in shapes:
+            faces = shape.faces if isinstance(shape, Mesh) else None
+            named = prefix + shape.name, shape.name, joint, T @ shape.pose
+            self.bodies.append(Body(*named, shape_geometry(shape), faces))
         return tuple(range(first, len(self.bodies)))
 
     def finger_poses(self, width: float) -> list[FloatArray]:
@@ -182,10 +189,13 @@ def collision_at_home(workcell: Workcell, among: Collection[str] | None = None) 
     joints = [body.joint for body in world.bodies]
     placed = [(solid, frames[j] @ T) for solid, j, T in zip(world.solids, joints, poses, strict=True)]
     asked = None if among is None else {i for i in world.obstacles if world.bodies[i].label in among}
+    balls = [(T[:3, :3] @ solid.box.mean(axis=0) + T[:3, 3], solid.radius) for solid, T in placed]
     for i, j, clearance in world.pairs(ContactPhase.HOME):
         if asked is not None and j not in asked:
             continue
-        (a, T_a), (b, T_b) = placed[i], placed[j]
+        (a, T_a), (b, T_b), (ball_a, radius_a), (ball_b, radius_b) = placed[i], placed[j], balls[i], balls[j]
+        if math.dist(ball_a, ball_b) - radius_a - radius_b > clearance:
+            continue
         if distance(a, b, T_a, T_b) <= clearance:
             return world.bodies[i].label, world.bodies[j].label
     return None

@@ -7,6 +7,7 @@ import pytest
 import trimesh
 
 from regrasp_opt import RegraspProblem, solve_sequence
+from regrasp_opt.connectivity import BLOCKED, exact_energy
 from regrasp_opt.conventions import planar_transform, translation
 from regrasp_opt.feasibility.dataset import random_poses
 from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh
@@ -57,6 +58,33 @@ def test_only_candidates_are_asked_about():
     everything = problem.rules.behind_obstacles(numbers, xi, np.ones_like(asked))
     assert everything[0].any() and not everything[1].any()
     np.testing.assert_array_equal(found[0], everything[0] & asked[0])
+
+
+def test_with_one_regrasp_obstacles_are_asked_about_grasps_of_start_or_goal_only():
+    problem = RegraspProblem.load("mug", "nova2-w").with_obstacles([SHAPES["box"], SHAPES["mesh"]])
+    numbers, xi = random_poses(problem.placement_poses, problem.workcell.bounds.array, 30, np.random.default_rng(3))
+    everything, free = problem.ruled_out(numbers, xi), problem.rules.free_space(numbers, xi)
+    there = problem.rules.behind_obstacles(numbers, xi, np.zeros_like(free)).any(axis=1)  # the object is in an obstacle
+    start, goal = (problem.feasible_grasps(T) for T in problem.rests.planar.at(numbers[:2], xi[:2]))
+    useful = start | goal
+    objective = problem.objective(exact_energy(start), exact_energy(goal))
+    alone, pairs = objective.ruled_out(numbers[:, None], xi[:, None])[:, 0], objective.ruled_out(numbers, xi)
+    np.testing.assert_array_equal(alone[:, useful], everything[:, useful])
+    np.testing.assert_array_equal(alone[~there][:, ~useful], free[~there][:, ~useful])
+    np.testing.assert_array_equal(pairs, everything)
+    assert (everything & ~free)[:, useful].any() and (everything & ~alone)[:, ~useful].any()
+
+    lattice = problem.lattice
+    asked = np.arange(0, len(lattice.xi), 40)
+    before = lattice.energies.copy()
+    ids = np.flatnonzero(useful)
+    np.testing.assert_array_equal(np.setdiff1d(lattice.settle(asked, ids), asked), [])
+    blocked = (lattice.energies >= BLOCKED) & (before < BLOCKED)
+    whole = problem.ruled_out(lattice.placements[asked], lattice.xi[asked])
+    expected = whole & (before[asked] < 10.0) & useful
+    np.testing.assert_array_equal(blocked[asked] & useful & (before[asked] < 10.0), expected)
+    assert expected.any() and not np.delete(blocked, asked, axis=0).any()
+    assert len(lattice.settle(asked, ids)) == 0 and len(lattice.settle(asked, np.arange(len(useful)))) > 0
 
 
 def test_where_the_object_is_in_an_obstacle_every_grasp_is_ruled_out():
