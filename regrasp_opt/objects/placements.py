@@ -15,11 +15,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import trimesh
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
-from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
+from regrasp_opt.conventions import FloatArray
 from regrasp_opt.errors import MeshError
 from regrasp_opt.objects.rolling import LEAST_MARGIN, MERGE_ANGLE, Hull
 
@@ -107,14 +107,14 @@ def rejected_placements(
 
 
 class _Facets(NamedTuple):
-    """The hull's facets, the numbers of those that belong to the support of each, and the margins (F,).
+    """The hull's facets, which of them belong to the support of each (F, F), and the margins (F,).
 
     A margin that cannot reach what was asked for is not measured exactly: an upper bound takes its place, the reach of
     the support in one direction. This is what makes round bodies quick: few of their supports reach that far.
     """
 
     hull: Hull
-    supports: list[IntArray]
+    linked: csr_array
     margins: FloatArray
 
     @staticmethod
@@ -124,8 +124,8 @@ class _Facets(NamedTuple):
             hull = Hull(points)
         except QhullError as error:
             raise MeshError("the mesh is flat and has no convex hull; give a solid") from error
-        tree = KDTree(hull.normals)
-        supports = [np.array(near) for near in tree.query_ball_point(hull.normals, 2 * np.sin(MERGE_ANGLE / 2))]
+        linked = _alike(hull.normals)
+        supports = np.split(linked.indices, linked.indptr[1:-1])
         triangles = points[hull.simplices]
         below = (triangles.mean(axis=1) * hull.normals).sum(axis=1, keepdims=True) * hull.normals
         back = below - triangles.mean(axis=1)  # from a facet's middle to below the centre of mass
@@ -134,14 +134,16 @@ class _Facets(NamedTuple):
             reach, length = float((triangles[support] @ back[f]).max()), margins[f]
             margins[f] = reach / (length * height) if length > TIE * height else np.inf
             if margins[f] >= least - TIE:
-                margins[f] = _inner_distance(points[np.unique(hull.simplices[support])], normal) / height
-        return _Facets(hull, supports, margins)
+                corners = np.bincount(hull.simplices[support].ravel(), minlength=len(points)) > 0
+                margins[f] = _inner_distance(points[corners], normal) / height
+        return _Facets(hull, linked, margins)
 
     def rests(self, min_margin: float) -> list[tuple[int, float]]:
         """Return the facet at rest, and the best margin, of each group of rolling neighbours, by decreasing margin."""
-        found = []
-        for group in _rolling_neighbours(self.supports, self.margins >= min_margin):
-            best = self.supports[group[np.argmax(self.margins[group])]]
+        found, members = [], np.flatnonzero(self.margins >= min_margin)
+        count, labels = connected_components(self.linked[members][:, members], directed=False)
+        for group in (members[labels == label] for label in range(count)):
+            best = self.linked[[group[np.argmax(self.margins[group])]]].indices
             found.append((int(best[np.argmin(self.hull.heights[best])]), float(self.margins[group].max())))
         return sorted(found, key=lambda each: -each[1])
 
@@ -159,19 +161,13 @@ def rotation_to_down(normal: FloatArray) -> FloatArray:
     return least @ first
 
 
-def _rolling_neighbours(supports: list[IntArray], stable: BoolArray) -> list[IntArray]:
-    """Return the groups of stable facets that are linked through the supports of stable facets."""
-    size = len(supports)
-    links = coo_array(
-        (
-            np.ones(sum(map(len, supports))),
-            (np.repeat(np.arange(size), list(map(len, supports))), np.concatenate(supports)),
-        ),
-        shape=(size, size),
-    ).tocsr()
-    members = np.flatnonzero(stable)
-    count, labels = connected_components(links[members][:, members], directed=False)
-    return [members[labels == label] for label in range(count)]
+def _alike(normals: FloatArray) -> csr_array:
+    """Return which `normals` (F, 3) are within `MERGE_ANGLE` of each other, themselves included, (F, F)."""
+    pairs = KDTree(normals).query_pairs(2 * np.sin(MERGE_ANGLE / 2), output_type="ndarray")
+    rows, columns = (np.concatenate([*each, np.arange(len(normals))]) for each in (pairs.T, pairs.T[::-1]))
+    found = coo_array((np.ones(len(rows), dtype=bool), (rows, columns)), shape=(len(normals), len(normals))).tocsr()
+    found.sort_indices()
+    return found
 
 
 def _inner_distance(points: FloatArray, normal: FloatArray) -> float:
