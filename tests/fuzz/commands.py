@@ -23,21 +23,29 @@ _APP = "regrasp_opt.cli.app"
 """The command line; it stands above this layer and is looked up by name."""
 _FILES = "files"
 _PLAN, _MOTION, _MESH, _CELL = "plan.json", "motion.json", "part.stl", "cell.toml"
+_GRASPS, _OBSTACLES = "grasps.csv", "obstacles.toml"
 _LINES = (
     "plan --start 0:-0.2,0.4,30 --goal 2:0.25,0.3,180 --max-regrasps 2 --out new.json",
     "plan --object mug --workcell nova2-w --start 0:-0.2,0.4,30 --goal 1:0.25,0.3,180 --refiner lattice --json",
     f"plan --object bottle --workcell {_CELL} --end-effector w --seed 3 --html new.html",
     "plan --object pentagon --seed 4 --max-regrasps 1 --json",
     f"plan --object {_MESH} --scale 1.0 --repair --model models --seed 1",
+    f"plan --object {_MESH} --mass 0.4 --center-of-mass 0,0,0.01 --inertia 2e-4,0,0,2e-4,0,2e-4 --tolerance 0.01,5",
+    "plan --placements 0,1 --supports table --from-above 60 --num-regrasps 1 --alternatives 1 --symmetry",
+    f"plan --grasps {_GRASPS} --grasp-near 0.01,10 --seed 2 --out new.json",
+    f"plan --obstacles {_OBSTACLES} --explain --seed 5",
+    f"inspect --workcell {_CELL} --object {_MESH} --density 900 --pose 0:0.1,0.3,20 --html new.html --json",
     f"check {_PLAN} --json",
     f"motion {_PLAN} --csv new.csv --step 0.02 --velocity 0.8 --acceleration 4.0 --no-home --seed 1 --scene scene",
+    f"motion {_PLAN} --ros new.yaml --moveit scenes.yaml --mjcf model --jerk 100 --squeeze 0.002 --force 20 --json",
     f"show {_PLAN} --motion {_MOTION} --json",
     f"show {_PLAN} --candidates ipopt --port 8081",
     "export bottle-nova2-w --to casadi --json",
-    f"prepare {_MESH} --workcell {_CELL} --grasps 50 --seed 2 --jobs 1 --scale 1.0 --repair --out model --json",
+    f"prepare {_CELL} --object {_MESH} --grasps 50 --seed 2 --jobs 1 --scale 1.0 --repair --out model --json",
     "bench one-step --quick --jobs 1 --seed 1 --out results --json",
     "--version",
 )
+_CRATE = '[[obstacles]]\nname = "crate"\ntype = "box"\nsize = [0.1, 0.1, 0.2]\nposition = [0.3, 0.5, 0.1]\n'
 _HARMLESS = {
     "plan": ("--time-limit", "1"),
     "show": ("--html", "new.html"),
@@ -58,6 +66,8 @@ def command_lines(folder: Path) -> list[tuple[str, bytes]]:
     plan_motion(plan).save(place / _MOTION)
     build("pentagon").export(place / _MESH)
     write_obstacles(place / _CELL)
+    problem.grasps.save(place / _GRASPS)
+    (place / _OBSTACLES).write_text(_CRATE, encoding="utf-8")
     return [(".json", json.dumps(line.split()).encode()) for line in _LINES]
 
 
