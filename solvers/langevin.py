@@ -2,7 +2,7 @@
 
 The noise and the step act on planar parameters scaled to the workspace, so that one unit is half its width, or pi.
 With `anneal` the temperature falls to zero along the iterations; each chain returns the best point that it visited.
-What is ruled out is asked at the starts, as Ipopt does, and again where start and result are compared. torch is
+What is ruled out is asked at the starts, as Ipopt does, and again at the result. torch is
 imported when a batch is refined, not before.
 """
 

@@ -80,7 +80,7 @@ class PoseLattice:
             self._likelihoods[alpha] = np.exp(-self.energies / np.float32(alpha))
         return self._likelihoods[alpha]
 
-    def under(self, rule: PromiseRule) -> PoseLattice:
+    def under(self, rule: PromiseRule | None) -> PoseLattice:
         """Return a copy for one search that asks `rule`, too: what it learns of poses would change the next search."""
         return PoseLattice(self.placements, self.xi, self.energies.copy(), rule, self)
 
@@ -108,16 +108,25 @@ class PoseLattice:
         asked = np.unique(poses)
         at = asked[:, None], grasps
         candidates = np.zeros((len(asked), self.energies.shape[1]), dtype=bool)
-        candidates[:, grasps] = (self.energies[at] < _HOPELESS) & ~self._settled[at]
+        candidates[:, grasps] = ~self._settled[at]
         self._settled[at] = True
         new = candidates.any(axis=1)
-        asked = asked[new]
+        asked, candidates = asked[new], candidates[new]
         if len(asked):
-            ruled_out = self.rule(self.placements[asked], self.xi[asked], candidates[new])
-            self.energies[asked] = block(self.energies[asked], ruled_out)
-            for alpha, P in self._likelihoods.items():
-                P[asked] = np.exp(-self.energies[asked] / np.float32(alpha))
+            candidates &= self.energies[asked] < _HOPELESS
+            self.block(asked, self.rule(self.placements[asked], self.xi[asked], candidates))
         return asked
+
+    def block(self, poses: IntArray, ruled_out: BoolArray) -> None:
+        """Block the grasps (K, G) that are `ruled_out` at `poses`, K different numbers; not in what others may use."""
+        self._settled[poses] |= ruled_out
+        self.energies[poses] = block(self.energies[poses], ruled_out)
+        for alpha, P in self._likelihoods.items():
+            P[poses] = np.exp(-self.energies[poses] / np.float32(alpha))
+
+    def number(self, placement: int, xi: FloatArray) -> int:
+        """Return the number of a pose of this lattice, given by its placement and `xi` (3,)."""
+        return int(np.flatnonzero((self.placements == placement) & (self.xi == xi).all(axis=1))[0])
 
     @cached_property
     def cells(self) -> IntArray:

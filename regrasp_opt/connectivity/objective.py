@@ -17,7 +17,7 @@ from regrasp_opt.geometry.planar_poses import PlanarPoses
 Rule = Callable[[IntArray, FloatArray, BoolArray], BoolArray]
 """Returns which grasps (..., G) are known to be infeasible at `placements` (...) and `xi` (..., 3).
 
-What costs much to know need be known of the `useful` ones (G,) only.
+An expensive rule may leave out grasps that are not `useful` (G,).
 """
 
 
@@ -104,13 +104,13 @@ class SequenceObjective:
         return cost + self.placements.weights[placements].sum(axis=1).astype(cost.dtype)
 
     def energies(self, placements: IntArray, xi: FloatArray, dtype: DTypeLike = np.float64) -> NDArray[Any]:
-        """Return energies (..., G), of type `dtype`, of intermediate poses: `placements` (...) and `xi` (..., 3)."""
+        """Return energies (..., N, G), of type `dtype`, of N poses: `placements` (..., N) and `xi` (..., N, 3)."""
         return block(self.energy(self.poses(placements, xi), dtype), self.ruled_out(placements, xi))
 
     def ruled_out(self, placements: IntArray, xi: FloatArray) -> BoolArray:
         """Return which grasps (..., N, G) are ruled out at intermediate poses: `placements` (..., N), `xi` (..., N, 3).
 
-        Of those that cannot matter (`useful_grasps`), not all that are need be.
+        Grasps that cannot matter (`useful_grasps`) may be missing.
         """
         if self.rule is None:
             return np.zeros((*np.shape(placements), len(self.energy)), dtype=bool)

@@ -24,6 +24,8 @@ SPACING = 0.03
 """Largest distance of the points of the tool that are looked at [m]."""
 _BETWEEN = 0.015
 """Side of the cubes in each of which one point of a mesh is looked at [m]."""
+_MOST = 50_000
+"""Points that are drawn on a mesh at most, before one in each cube is kept."""
 _AT_ONCE = 4096
 """Tool poses that are looked at together: some ten MB of points."""
 
@@ -164,8 +166,9 @@ def _around(shape: Shape, board: int = -1) -> _Around:
     corners, points = surface_points(shape), np.zeros((0, 3))
     if isinstance(shape, Mesh):
         surface = trimesh.Trimesh(corners, shape.faces, process=False)
-        some, _ = trimesh.sample.sample_surface(surface, 4 * int(np.ceil(surface.area / _BETWEEN**2)), seed=0)
-        points = np.concatenate([corners, some])
+        corners = corners[np.unique(shape.faces)]  # a vertex without a face is no part of the body
+        count = min(4 * int(np.ceil(surface.area / _BETWEEN**2)), _MOST)
+        points = np.concatenate([corners, trimesh.sample.sample_surface(surface, count, seed=0)[0]])
         cells = np.unique(np.floor(points / _BETWEEN).astype(np.int64), axis=0, return_index=True)[1]
         points = points[cells]
     elif isinstance(shape, Cylinder):  # those on the rims do not reach out as far as the cylinder

@@ -107,7 +107,7 @@ def rejected_placements(
 
 
 class _Facets(NamedTuple):
-    """The hull's facets, which of them belong to the support of each (F, F), and the margins (F,).
+    """The hull's facets, which of them are in each other's support (F, F), and the margins (F,).
 
     A margin that cannot reach what was asked for is not measured exactly: an upper bound takes its place, the reach of
     the support in one direction. This is what makes round bodies quick: few of their supports reach that far.
@@ -126,7 +126,9 @@ class _Facets(NamedTuple):
             raise MeshError("the mesh is flat and has no convex hull; give a solid") from error
         linked = _alike(hull.normals)
         supports = np.split(linked.indices, linked.indptr[1:-1])
-        triangles = points[hull.simplices]
+        numbers, corners = np.unique(hull.simplices, return_inverse=True)
+        corners, points = corners.reshape(-1, 3), points[numbers]
+        triangles = points[corners]
         below = (triangles.mean(axis=1) * hull.normals).sum(axis=1, keepdims=True) * hull.normals
         back = below - triangles.mean(axis=1)  # from a facet's middle to below the centre of mass
         margins = np.linalg.norm(back, axis=1)
@@ -134,8 +136,8 @@ class _Facets(NamedTuple):
             reach, length = float((triangles[support] @ back[f]).max()), margins[f]
             margins[f] = reach / (length * height) if length > TIE * height else np.inf
             if margins[f] >= least - TIE:
-                corners = np.bincount(hull.simplices[support].ravel(), minlength=len(points)) > 0
-                margins[f] = _inner_distance(points[corners], normal) / height
+                there = np.bincount(corners[support].ravel(), minlength=len(points)) > 0
+                margins[f] = _inner_distance(points[there], normal) / height
         return _Facets(hull, linked, margins)
 
     def rests(self, min_margin: float) -> list[tuple[int, float]]:

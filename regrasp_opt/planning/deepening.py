@@ -21,6 +21,8 @@ from regrasp_opt.planning.recipes import Recipe
 from regrasp_opt.planning.verification import LazyTransitions, PoseFeasibility, verify_sequence
 from regrasp_opt.solvers import Candidates, PoseLattice, lattice_starts
 
+PORTION = 50
+"""Lattice chains that are verified before the next ones are chosen."""
 SAME = 1e-3
 """How much planar parameters of the same plan differ at most [m, rad]."""
 
@@ -95,14 +97,41 @@ class Search:
             found = self._first_verified(objective, ranked, entry)
             if found is not None or self.clock.over:
                 return found
-        if not recipe.fallback:
-            return None
-        entry = {"num_regrasps": num_regrasps, "refiner": "lattice"}
+        return self._from_lattice(objective, num_regrasps) if recipe.fallback else None
+
+    def _from_lattice(self, objective: SequenceObjective, num_regrasps: int) -> RegraspPlan | None:
+        """Return the plan of the first lattice chain that is verified as it is, or None.
+
+        What the checks of some find out is taken into account when the next ones are chosen.
+        """
+        entry: dict[str, Any] = {"num_regrasps": num_regrasps, "refiner": "lattice", "chains": 0}
         self.stats.append(entry)
-        with self.clock.timed("starts"):
-            rng = np.random.default_rng([self.seed, num_regrasps])
-            chains = lattice_starts(self.lattice, objective, num_regrasps, recipe.fallback, rng)
-        return self._first_verified(objective, chains, entry)
+        if self.lattice.source is None:  # other searches use it, too
+            self.lattice = self.lattice.under(None)
+        tried: set[bytes] = set()
+        while (left := self.recipe.fallback - len(tried)) > 0:
+            size = min(PORTION, left)
+            with self.clock.timed("starts"):
+                rng = np.random.default_rng([self.seed, num_regrasps])
+                chains = lattice_starts(self.lattice, objective, num_regrasps, len(tried) + size, rng)
+                keys = [key.tobytes() for key in np.dstack([chains.placements, chains.xi])]
+                new = [index for index, key in enumerate(keys) if key not in tried][:size]
+                chains, keys = chains.take(new), [keys[index] for index in new]
+            found = self._first_verified(objective, chains, entry)
+            if found is not None or self.clock.over or not len(chains):
+                return found
+            tried.update(keys)
+            entry["chains"] = len(tried)
+            self._learn(chains)
+        return None
+
+    def _learn(self, chains: Candidates) -> None:
+        """Block in the lattice what is known by now to be infeasible at the poses of `chains`."""
+        poses = {(p, *xi): (p, xi) for p, xi in zip(chains.placements.ravel(), chains.xi.reshape(-1, 3), strict=True)}
+        numbers = np.array([self.lattice.number(*pose) for pose in poses.values()])
+        T = self.problem.rests.planar.at(self.lattice.placements[numbers], self.lattice.xi[numbers])
+        known = [self._knowledge(each) for each in T]
+        self.lattice.block(numbers, np.array([~pose.possible() | pose.object_collides for pose in known]))
 
     def _first_verified(
         self, objective: SequenceObjective, candidates: Candidates, entry: dict[str, Any]

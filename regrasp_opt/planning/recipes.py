@@ -8,7 +8,7 @@ checks, ``paper`` its Algorithms 1 and 2 as they stand, which accept by the thre
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import InitVar, dataclass
+from dataclasses import InitVar, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -102,6 +102,8 @@ class Recipe:
         wanted = sum(self.batches)
         if self.starts == "lattice":
             points = lattice_starts(lattice(), objective, num_regrasps, wanted, rng)
+            if not isinstance(self.refiner, LatticeRefiner):  # the lattice knows the costs but roughly
+                points = replace(points, cost=objective.cost(points.placements, points.xi))
         elif self.starts == "random":
             points = random_starts(objective, num_regrasps, wanted, rng)
         else:

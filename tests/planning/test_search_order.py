@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 
 from regrasp_opt import CostOptions, Recipe, Status, solve_sequence
-from regrasp_opt.connectivity import SequenceObjective
+from regrasp_opt.benchmarks.paper.cross_effector import constant_energy
+from regrasp_opt.connectivity import BLOCKED, SequenceObjective
+from regrasp_opt.connectivity.embedding import ProblemEnergy
 from regrasp_opt.errors import GraspError, OptionError
 from regrasp_opt.geometry.planar_poses import PlanarPoses
 from regrasp_opt.planning import deepening, recipes, tasks
 from regrasp_opt.planning.recipes import RECIPES, as_recipe, paper_recipe
 from regrasp_opt.planning.tasks import random_graspable_pose, random_task
-from regrasp_opt.solvers import Candidates, LangevinRefiner, LatticeRefiner, NlpRefiner, PoseLattice
+from regrasp_opt.solvers import Candidates, LangevinRefiner, LatticeRefiner, NlpRefiner, PoseLattice, lattice_starts
 
 
 class Recorder:
@@ -62,6 +64,33 @@ def test_batches_are_refined_in_turn_then_the_lattice_is_verified_then_the_searc
     chains = [starts.placements[:, 0].tolist() + starts.xi[:, 0, 0].tolist() for starts in recorder.batches[:2]]
     assert chains[0] != chains[1][: len(chains[0])]
     assert set(plan.timings) >= {"ends", "starts", "refine", "verify", "total"}
+
+
+def test_what_failed_checks_find_out_is_blocked_in_the_lattice_of_this_search_alone(bottle_problem, task, monkeypatch):
+    """So the chains that come next avoid it, also with more regrasps."""
+    shown, blind = [], replace(bottle_problem)
+    energy = ProblemEnergy(constant_energy(), blind.grasps, blind.rests.planar)
+    vars(blind).update(checker=bottle_problem.checker, rules=bottle_problem.rules, energy=energy)
+    free = blind.free_lattice.energies.copy()
+
+    def starts(lattice, *rest):
+        shown.append((lattice, lattice.energies.copy(), found := lattice_starts(lattice, *rest)))
+        return found
+
+    monkeypatch.setattr(deepening, "lattice_starts", starts)
+    verified = deepening.verify_sequence
+    monkeypatch.setattr(deepening, "verify_sequence", lambda *what: verified(*what) and False)
+    monkeypatch.setattr(deepening, "PORTION", 10)
+    recipe = Recipe(LatticeRefiner(), batches=(1,), verified=1, fallback=30)
+    plan = solve_sequence(blind, task.start, task.goal, recipe, max_regrasps=1)
+    assert plan.refiner_stats[-1]["chains"] == 30 and len(shown) == 3
+    lattice, last = shown[-1][:2]
+    new = np.argwhere((last >= BLOCKED) & (free < BLOCKED))
+    assert len(new) > 5
+    for number, grasp in new:
+        T = blind.rests.planar.at(lattice.placements[number], lattice.xi[number])
+        assert not blind.checker.feasible(T, np.array([grasp])).any()
+    np.testing.assert_array_equal(blind.free_lattice.energies, free)
 
 
 def test_without_a_fallback_nothing_unrefined_is_verified(bottle_problem, task, unprovable):
