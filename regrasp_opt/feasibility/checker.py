@@ -17,7 +17,7 @@ import numpy as np
 from regrasp_opt.conventions import BoolArray, FloatArray, IntArray, invert
 from regrasp_opt.errors import GraspError
 from regrasp_opt.feasibility.scene import CollisionScene
-from regrasp_opt.feasibility.standing import is_above, standing_problem, support_of
+from regrasp_opt.feasibility.standing import beside_a_board, is_above, standing_problem, support_of
 from regrasp_opt.geometry.shapes import surface_points
 from regrasp_opt.geometry.solids import Solid, nested
 from regrasp_opt.grasps import GraspSet
@@ -189,10 +189,11 @@ class FeasibilityChecker:
         """Return what is wrong with how the object stands on the support that it is on, or on the only one."""
         assert self._object is not None
         number = 0 if len(self.workcell.supports) == 1 else self.support_below(T)
-        support = None if number is None else self.workcell.supports[number]
-        if not isinstance(support, Support):
-            return None
-        return standing_problem(self._object.vertices @ T[:3, :3].T + T[:3, 3], support)
+        vertices = self._object.vertices @ T[:3, :3].T + T[:3, 3]
+        if number is None:
+            return beside_a_board(vertices, self.workcell)
+        support = self.workcell.supports[number]
+        return standing_problem(vertices, support) if isinstance(support, Support) else None
 
     def support_below(self, T: FloatArray) -> int | None:
         """Return the number of the support on which the object is at `T` (4, 4), or None."""

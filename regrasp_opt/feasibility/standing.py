@@ -49,17 +49,28 @@ def resting_problem(vertices: FloatArray, center_of_mass: FloatArray, support: S
     return None
 
 
+def beside_a_board(vertices: FloatArray, cell: Workcell) -> str | None:
+    """Return what is wrong where an object with `vertices` (V, 3) that no board carries is level with one, or None."""
+    level = (board for board in cell.boards if abs(_contact(vertices, board)[0]) <= RESTING_TOLERANCE)
+    return next((f"stands over the edge of the {board.name}" for board in level), None)
+
+
 def support_of(T: FloatArray, body: ObjectModel, cell: Workcell) -> int | None:
-    """Return the number of the support on which, or in which, the object is at `T` (4, 4), or None."""
-    corners = body.corners @ T[:3, :3].T + T[:3, 3]
+    """Return the number of the support in which, or on which, the object is at `T` (4, 4), or None.
+
+    A fixture that holds it comes before boards that it touches, and of these the one that it touches most closely.
+    """
+    corners, gaps = body.corners @ T[:3, :3].T + T[:3, 3], dict[int, float]()
     for number, support in enumerate(cell.supports):
         if isinstance(support, Fixture):
             held = support.holding(T, PLACEMENT_TOLERANCE)
             if held is not None and held.object in (None, body.name):
                 return number
-        elif abs(_contact(corners, support)[0]) <= RESTING_TOLERANCE and stands_on(
-            body.vertices @ T[:3, :3].T + T[:3, 3], support
-        ):
+        else:
+            gaps[number] = abs(_contact(corners, support)[0])
+    for number in sorted((k for k, gap in gaps.items() if gap <= RESTING_TOLERANCE), key=gaps.__getitem__):
+        support = cell.supports[number]
+        if isinstance(support, Support) and stands_on(body.vertices @ T[:3, :3].T + T[:3, 3], support):
             return number
     return None
 

@@ -137,7 +137,7 @@ class _Facets(NamedTuple):
             margins[f] = reach / (length * height) if length > TIE * height else np.inf
             if margins[f] >= least - TIE:
                 there = np.bincount(corners[support].ravel(), minlength=len(points)) > 0
-                margins[f] = _inner_distance(points[there], normal) / height
+                margins[f] = inner_distance(points[there], normal) / height
         return _Facets(hull, linked, margins)
 
     def rests(self, min_margin: float) -> list[tuple[int, float]]:
@@ -172,7 +172,7 @@ def _alike(normals: FloatArray) -> csr_array:
     return found
 
 
-def _inner_distance(points: FloatArray, normal: FloatArray) -> float:
+def inner_distance(points: FloatArray, normal: FloatArray) -> float:
     """Return the least distance, seen along `normal`, of the origin to the edge of the hull of `points`.
 
     `points` are (P, 3); the distance is negative when the origin lies outside.

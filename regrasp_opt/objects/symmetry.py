@@ -24,8 +24,11 @@ LARGEST_ORDER = 36
 _ODD_TURNS = 2.399963 * np.arange(1, 8)
 """Multiples of the golden angle [rad]: no prism of few sides looks the same after all of them."""
 
-_FIRST, _POINTS = 40, 1500
-"""Points of the surface that are tested first, and at most."""
+_FIRST = 40
+"""Points of the surface that are tested first."""
+
+_CUBES = 50
+"""Cubes along the longest extent: of the surface in each, one vertex and one middle of a face are tested."""
 
 
 class Symmetry(NamedTuple):
@@ -88,8 +91,11 @@ def turn_about(point: FloatArray, turn: FloatArray) -> FloatArray:
 
 def _surface_points(model: ObjectModel) -> FloatArray:
     """Return points (P, 3) of the surface, seen from the centre of mass."""
-    points = np.concatenate([model.vertices, np.asarray(model.mesh.triangles_center)]) - model.center_of_mass
-    return points[:: -(-len(points) // _POINTS)]
+    side, found = float(model.mesh.extents.max()) / _CUBES, []
+    for points in (model.vertices, np.asarray(model.mesh.triangles_center)):
+        cubes = np.floor(points / side).astype(np.int64)
+        found.append(points[np.unique(cubes, axis=0, return_index=True)[1]])
+    return np.concatenate(found) - model.center_of_mass
 
 
 def _order(model: ObjectModel, points: FloatArray, axis: FloatArray) -> int | None:

@@ -6,7 +6,8 @@ a measured :math:`T_m` to a resting pose :math:`T = T_{ws} \, dT(\xi) \, T_p` is
 .. math:: |T c - T_m c|^2 + 2 \, \mathrm{tr}(C) - 2 \, \mathrm{tr}(R \, C \, R_m^T)
 
 which has its least value over :math:`\xi` in closed form: the yaw that maximises the last trace, then x and y that put
-the middle above where it was measured, within the workspace.
+the middle above where it was measured. A fixture fixes all three. Whether the pose is in the workspace is for others
+to say: to move an object there would be to grasp where it is not.
 """
 
 from __future__ import annotations
@@ -100,7 +101,9 @@ def nearest_rests(T: FloatArray, body: ObjectModel, rests: Rests) -> list[Restin
     yaw = np.arctan2(R[:, 0, 1] - R[:, 1, 0], R[:, 0, 0] + R[:, 1, 1]).clip(planar.low[:, 2], planar.high[:, 2])
     turned = planar_transform(np.stack([0 * yaw, 0 * yaw, yaw], axis=-1)) @ planar.bases
     shift = (_moved(seen, middle) - _moved(turned, middle))[:, :2]
-    xi = np.column_stack([shift.clip(planar.low[:, :2], planar.high[:, :2]), yaw])
+    held = np.isfinite(planar.high[:, 2])
+    shift[held] = shift[held].clip(planar.low[held, :2], planar.high[held, :2])
+    xi = np.column_stack([shift, yaw])
     poses = planar.at(np.arange(len(rests)), xi)
     rotated = np.einsum("sij,jk,ik->s", poses[:, :3, :3], covariance, T[:3, :3])
     squares = ((_moved(poses, middle) - _moved(T, middle)) ** 2).sum(axis=1) + 2 * (np.trace(covariance) - rotated)

@@ -44,7 +44,7 @@ def resting_end(
     """Return the start or goal pose (4, 4) that `T` means, and what was given where that is another one.
 
     A pose at which the object can rest is taken as it is. Of any other the nearest resting pose within `tolerance`
-    ([m], [rad]) is taken.
+    ([m], [rad]) is taken; x and y on a board stay as they are given.
 
     Raises
     ------
@@ -56,7 +56,7 @@ def resting_end(
     except PoseError as error:
         T = as_pose(T, f"{name} pose")
         found = problem.nearest_rests(T)
-        if not found or found[0].motion <= EXACT:
+        if not found or (found[0].motion <= EXACT and isinstance(problem.workcell.support(found[0].support), Support)):
             raise
         if not found[0].within(tolerance):
             raise PoseError(f"{error}; the nearest resting pose is {found[0].label}, {found[0].away} away") from error

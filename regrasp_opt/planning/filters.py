@@ -61,9 +61,10 @@ class SearchFilter:
         for first in range(0, len(asked), _AT_ONCE):
             part = asked[first : first + _AT_ONCE]
             assert self.choice is not None
-            verdict = np.asarray(self.choice(T[part] @ self.T_object_tcp[grasp_ids[part]]), dtype=bool)
-            if verdict.shape != part.shape:
-                raise OptionError(f"grasps returned shape {verdict.shape} for {len(part)} tool poses; one verdict each")
+            verdict = np.asarray(self.choice(T[part] @ self.T_object_tcp[grasp_ids[part]]))
+            if verdict.shape != part.shape or verdict.dtype != bool:
+                what = f"shape {verdict.shape} of {verdict.dtype}"
+                raise OptionError(f"grasps returned {what} for {len(part)} tool poses; return True or False for each")
             found[part] = verdict
         return found
 
@@ -91,7 +92,7 @@ def filtered(
     if placements is None and supports is None and grasps is None:
         return problem
     names = None if supports is None else {problem.workcell.support(name).name for name in supports}
-    numbers = None if placements is None else set(placements)
+    numbers = None if placements is None else _numbers(placements)
     known = {rest.placement for rest in problem.rests}
     if numbers is not None and not numbers <= known:
         raise OptionError(f"there is no placement {min(numbers - known)}; '{problem.object.name}' has {sorted(known)}")
@@ -110,6 +111,13 @@ def filtered(
     return view
 
 
+def _numbers(placements: Any) -> set[int]:
+    given = np.atleast_1d(np.asarray(list(placements) if isinstance(placements, Iterable) else [placements]))
+    if given.ndim != 1 or (given.size and given.dtype.kind not in "iu"):
+        raise OptionError(f"placements is {placements!r}; give whole numbers, such as [0, 2]")
+    return set(given.tolist())
+
+
 def _mask(grasps: Any, count: int) -> BoolArray:
     """Return the mask (count,) that a mask or a list of grasp numbers stands for."""
     given = np.asarray(grasps)
@@ -117,6 +125,8 @@ def _mask(grasps: Any, count: int) -> BoolArray:
         mask = given.copy()
     elif given.ndim == 1 and given.dtype.kind in "iu" and ((given >= 0) & (given < count)).all():
         mask = np.isin(np.arange(count), given)
+        if mask.sum() < len(given):
+            raise OptionError("grasps has a number twice; give each once, or a mask of True and False")
     else:
         raise OptionError(f"grasps has shape {given.shape}; give a mask ({count},), grasp numbers or a callable")
     if not mask.any():

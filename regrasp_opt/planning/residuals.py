@@ -94,7 +94,7 @@ def compute_residuals(plan: PlanData) -> Residuals:
     problems: list[str] = []
     if plan.solved and len(plan.transitions) != len(plan.poses) - 1:
         problems.append(f"the plan has {len(plan.poses)} poses but {len(plan.transitions)} transitions")
-    problems += _end_violations(plan) + _edge_violations(plan) + _turn_violations(plan)
+    problems += _rest_violations(plan) + _edge_violations(plan) + _turn_violations(plan)
     placement_error = _placement_errors(plan, problems)
     transitions = []
     for i, transition in enumerate(plan.transitions):
@@ -105,29 +105,43 @@ def compute_residuals(plan: PlanData) -> Residuals:
     return Residuals(tuple(transitions), placement_error, tuple(problems))
 
 
-def _end_violations(plan: PlanData) -> list[str]:
-    """Return what keeps the object from resting on a support at start and goal, inside the workspace."""
-    body, cell = plan.problem.object, plan.problem.workcell
-    texts = []
-    for name, T in (("start", plan.poses[0]), ("goal", plan.poses[-1])):
-        support, points = _below(T, body, cell)
+def _rest_violations(plan: PlanData) -> list[str]:
+    """Return what keeps the object from resting on a support at the poses, inside the workspace."""
+    body, texts, last = plan.problem.object, [], len(plan.poses) - 1
+    for i, T in enumerate(plan.poses):
+        name = {0: "the start", last: "the goal"}.get(i, f"pose {i}")
+        support, points = _support(plan, i)
         if isinstance(support, Fixture):
             continue
         lowest = float(points[:, 2].min())
         if abs(lowest) > RESTING_TOLERANCE + PLACEMENT_TOLERANCE:
-            texts.append(f"the object does not touch the {support.name} at the {name}: {lowest:.2g} m off")
+            texts.append(f"the object does not touch the {support.name} at {name}: {lowest:.2g} m off")
         middle = np.append(T[:3, :3] @ body.center_of_mass + T[:3, 3], 1.0)
         center = (np.linalg.inv(support.T_world_support) @ middle)[:3]
         low, high = support.workspace.array
-        if (center[:2] < low - PLACEMENT_TOLERANCE).any() or (center[:2] > high + PLACEMENT_TOLERANCE).any():
-            texts.append(f"the {name} lies outside the workspace")
+        outside = (center[:2] < low - PLACEMENT_TOLERANCE).any() or (center[:2] > high + PLACEMENT_TOLERANCE).any()
+        if outside and i in (0, last):  # xi of the others is tested
+            texts.append(f"{name} lies outside the workspace")
         touching = points[points[:, 2] <= RESTING_TOLERANCE + PLACEMENT_TOLERANCE, :2]
         up = support.T_world_support[2, :3]
         if len(touching) and _leans_out(touching - (center[:2] - center[2] / up[2] * up[:2])):
-            texts.append(f"the object would tip over at the {name}")
+            texts.append(f"the object would tip over at {name}")
         elif body.rolls(np.linalg.inv(support.T_world_support) @ T):
-            texts.append(f"the object would roll at the {name}")
+            texts.append(f"the object would roll at {name}")
     return texts
+
+
+def _support(plan: PlanData, i: int) -> tuple[Support | Fixture, FloatArray]:
+    """Return the support of pose `i`, and the object's vertices (V, 3) seen there.
+
+    Intermediate poses name it; at the ends it is looked for.
+    """
+    body, rests, T = plan.problem.object, plan.problem.rests, plan.poses[i]
+    if 0 < i < len(plan.poses) - 1 and 0 <= plan.placements[i - 1] < len(rests):
+        support = rests[plan.placements[i - 1]].support
+        inverse = np.linalg.inv(support.T_world_support) @ T
+        return support, body.vertices @ inverse[:3, :3].T + inverse[:3, 3]
+    return _below(T, body, plan.problem.workcell)
 
 
 def _below(T: FloatArray, body: ObjectModel, cell: Workcell) -> tuple[Support | Fixture, FloatArray]:
@@ -180,7 +194,7 @@ def _edge_violations(plan: PlanData) -> list[str]:
     body, cell, texts = plan.problem.object, plan.problem.workcell, []
     shapes = [[(Solid(shape_geometry(s)), s.pose) for s in support.shapes] for support in cell.supports]
     for i, T in enumerate(plan.poses):
-        support, points = _below(T, body, cell)
+        support, points = _support(plan, i)
         if isinstance(support, Support):
             lowest, near = points[:, 2].min(), RESTING_TOLERANCE
             touching = points[points[:, 2] <= max(lowest + PLACEMENT_TOLERANCE, near - PLACEMENT_TOLERANCE), :2]

@@ -8,12 +8,13 @@ from typing import NamedTuple, overload
 
 import numpy as np
 
-from regrasp_opt.conventions import FloatArray, IntArray, invert, planar_transform
+from regrasp_opt.conventions import RESTING_TOLERANCE, FloatArray, IntArray, invert, planar_transform
 from regrasp_opt.errors import GraspError, PoseError, WorkcellError
 from regrasp_opt.geometry.planar_poses import PlanarPoses
 from regrasp_opt.geometry.shapes import shape_geometry
 from regrasp_opt.geometry.solids import Solid, separation
 from regrasp_opt.objects import ObjectModel
+from regrasp_opt.objects.placements import inner_distance
 from regrasp_opt.objects.rolling import LEAST_MARGIN
 from regrasp_opt.scene import Fixture, Support, Workcell
 
@@ -81,7 +82,8 @@ class Rests(Sequence[Rest]):
         """Return the rests of `body` on the supports of `cell`.
 
         On a tilted board those placements remain that are stable at every yaw: the centre of mass moves downhill by the
-        tangent of the tilt, in units of its height, as margins are.
+        tangent of the tilt, in units of its height, as margins are. It must also stay above the points that touch: a
+        slightly round face, whose margin is that of all of it, would rock on them.
         """
         items, numbers, surfaces, bases, limits, weights = [], [], [], [], [], []
         for number, support in enumerate(cell.supports):
@@ -136,7 +138,9 @@ class Rests(Sequence[Rest]):
         return f"{label}:{x:.3f},{y:.3f},{np.degrees(yaw):.1f}"
 
     def find(self, T: FloatArray, tolerance: float) -> tuple[int, FloatArray] | None:
-        """Return the rest that the object is in at `T` (4, 4), and xi (3,), or None; one within its limits if any is.
+        """Return the rest that the object is in at `T` (4, 4), and xi (3,), or None.
+
+        One within its limits comes first, and of these one in a fixture.
 
         `tolerance` is how far the rotation matrix's entries and the height [m] may together be off.
         """
@@ -144,11 +148,12 @@ class Rests(Sequence[Rest]):
             return None
         xi, error = self.nearest(T)
         inside = np.all((xi >= self.planar.low - tolerance) & (xi <= self.planar.high + tolerance), axis=1)
-        error[~inside & np.isfinite(self.planar.high[:, 2])] = np.inf  # a fixture holds it in one pose only
+        fixture = np.isfinite(self.planar.high[:, 2])
+        error[~inside & fixture] = np.inf  # it holds the object in one pose only
         close = np.flatnonzero(error <= tolerance)
         if not len(close):
             return None
-        number = min(close.tolist(), key=lambda k: (not inside[k], error[k]))
+        number = min(close.tolist(), key=lambda k: (not inside[k], not fixture[k], error[k]))
         return number, xi[number]
 
     def nearest(self, T: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -194,5 +199,12 @@ def _on(support: Support | Fixture, body: ObjectModel) -> Iterator[tuple[int, Fl
         return
     low, high = (np.append(side, yaw) for side, yaw in zip(support.workspace.array, (-np.inf, np.inf), strict=True))
     for k, placement in enumerate(body.placements):
-        if not support.slope or placement.margin - support.slope >= LEAST_MARGIN:
+        if not support.slope or (placement.margin - support.slope >= LEAST_MARGIN and _keeps(body, k, support.slope)):
             yield k, placement.pose, low, high
+
+
+def _keeps(body: ObjectModel, number: int, slope: float) -> bool:
+    """Return whether the centre of mass stays above the points that touch in a placement, tilted whichever way."""
+    T = body.placements[number].pose
+    points, height = body.vertices @ T[:3, :3].T + T[:3, 3], float((T[:3, :3] @ body.center_of_mass + T[:3, 3])[2])
+    return inner_distance(points[points[:, 2] <= RESTING_TOLERANCE], np.array([0.0, 0.0, -1.0])) > slope * height

@@ -55,6 +55,19 @@ def test_the_order_of_the_axis_is_found_however_the_object_is_turned(name: str, 
         assert is_symmetry(model, angle * found[0].axis)
 
 
+@pytest.mark.parametrize(("edge", "united"), [(0.02, True), (0.004, True), (0.004, False)])
+def test_a_pin_is_seen_however_fine_the_mesh_is(edge: float, united: bool, tmp_path: Path) -> None:
+    can = trimesh.creation.cylinder(0.03, 0.1, sections=96)
+    pin = trimesh.creation.box(bounds=[[0.029 if united else 0.031, -0.003, -0.003], [0.061, 0.003, 0.003]])
+    whole = trimesh.boolean.union([can, pin], engine="manifold") if united else trimesh.util.concatenate([can, pin])
+    vertices, faces = trimesh.remesh.subdivide_to_size(whole.vertices, whole.faces, edge)
+    trimesh.Trimesh(vertices, faces).export(tmp_path / "part.stl")
+    model = load_object(tmp_path / "part.stl")
+    assert all(abs(each.axis[0]) > 0.99 and each.order == 2 for each in symmetries(model))
+    for angle in (0.5, np.pi / 2, np.pi):
+        assert not is_symmetry(model, np.array([0.0, 0.0, angle]))
+
+
 def test_of_several_axes_those_of_the_highest_order_count(tmp_path: Path) -> None:
     trimesh.creation.box((0.05, 0.05, 0.05)).export(tmp_path / "cube.stl")
     assert [each.order for each in symmetries(load_object(tmp_path / "cube.stl"))] == [4, 4, 4]

@@ -127,7 +127,10 @@ class PlanVerifier:
         return wrong + problems + self._object_problems(T, on)
 
     def support_at(self, T, exact=False, name=None):
-        """Return the number of the support on which the object is at `T` (4, 4), or nearly is, and what is wrong."""
+        """Return the number of the support on which the object is at `T` (4, 4), or nearly is, and what is wrong.
+
+        What holds the object counts before a board that it touches.
+        """
         found = [
             (*self._resting(T, support, exact), n)
             for n, support in enumerate(self.cell.supports)
@@ -135,7 +138,7 @@ class PlanVerifier:
         ]
         if not found:
             return None, []
-        wrong, _, number = min(found, key=lambda one: (len(one[0]) > 0, one[1]))
+        wrong, _, number = min(found, key=lambda o: (len(o[0]) > 0, isinstance(self.cell.supports[o[2]], Board), o[1]))
         return number, wrong
 
     def _resting(self, T, support, exact):
