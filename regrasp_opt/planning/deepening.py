@@ -128,7 +128,7 @@ class Search:
     def _learn(self, chains: Candidates) -> None:
         """Block in the lattice what is known by now to be infeasible at the poses of `chains`."""
         poses = {(p, *xi): (p, xi) for p, xi in zip(chains.placements.ravel(), chains.xi.reshape(-1, 3), strict=True)}
-        numbers = np.array([self.lattice.number(*pose) for pose in poses.values()])
+        numbers = np.array([self.lattice.number(int(p), xi) for p, xi in poses.values()])
         T = self.problem.rests.planar.at(self.lattice.placements[numbers], self.lattice.xi[numbers])
         known = [self._knowledge(each) for each in T]
         self.lattice.block(numbers, np.array([~pose.possible() | pose.object_collides for pose in known]))

@@ -19,7 +19,7 @@ from regrasp_opt.errors import GraspError, ModelError, PoseError, UnknownNameErr
 from regrasp_opt.feasibility.standing import resting_problem, standing_problem
 from regrasp_opt.motion import plan_motion
 from regrasp_opt.objects import ObjectModel, stable_placements
-from regrasp_opt.planning.residuals import _end_violations
+from regrasp_opt.planning.residuals import _rest_violations
 from regrasp_opt.planning.tasks import random_task
 from regrasp_opt.scene import Support
 
@@ -46,11 +46,11 @@ def test_a_start_on_a_side_that_rolls_is_refused():
     can = trimesh.creation.cylinder(0.03, 0.10, sections=24)
     problem = RegraspProblem.load(ObjectModel("can", can, stable_placements(can)), "nova2-w")
     upright = problem.pose(0, 0.0, 0.35)
-    assert not _end_violations(SimpleNamespace(problem=problem, poses=[upright, upright]))
+    assert not _rest_violations(SimpleNamespace(problem=problem, poses=[upright, upright]))
     lying = _on_table(problem, Rotation.from_euler("yx", [90, 7.5], degrees=True).as_matrix())
     with pytest.raises(PoseError, match="would roll at the start pose"):
         solve_sequence(problem, lying, upright)
-    rolled = _end_violations(SimpleNamespace(problem=problem, poses=[upright, lying]))
+    rolled = _rest_violations(SimpleNamespace(problem=problem, poses=[upright, lying]))
     assert rolled == ["the object would roll at the goal"]
 
 
