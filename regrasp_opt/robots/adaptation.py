@@ -1,10 +1,11 @@
 """What is asked for besides a URDF, done to its XML: links left out, joints locked, a seat for the tool.
 
-Last step before `load_robot` looks for the chain; whatever reads the robot afterwards knows nothing of it.
+Whatever reads the robot afterwards knows nothing of it. Once the chain is known, the joints beside it are settled, too.
 """
 
 from __future__ import annotations
 
+import logging
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,6 +17,8 @@ import pinocchio as pin
 from regrasp_opt.conventions import FloatArray, rotation_rpy, rpy_angles, translation
 from regrasp_opt.errors import WorkcellError
 from regrasp_opt.robots import urdf
+
+logger = logging.getLogger(__name__)
 
 
 def leave_out(root: ET.Element, links: Iterable[str], path: Path) -> None:
@@ -68,6 +71,71 @@ def lock(root: ET.Element, values: Mapping[str, float], path: Path) -> None:
             raise WorkcellError(f"{path}: joint '{name}' cannot be locked at {value}; give a finite number")
     for name, value in _with_mimics(joints, values, path).items():
         _fix(joints[name], value, f"{path}: joint '{name}'")
+
+
+def settle(root: ET.Element, chain: Sequence[str], path: Path) -> None:
+    """Fix the joints beside `chain` where they rest, in place: at 0, or at the limit nearest to it; mimics follow.
+
+    Raises
+    ------
+    WorkcellError
+        If a joint beside the chain moves bodies as a joint of the chain does, which it mimics.
+    """
+    joints = {joint.get("name", ""): joint for joint in root.iterfind("joint")}
+    leaders = {name: _leader(joint, joints) for name, joint in joints.items()}
+    solid = {link.get("name") for link in root.iterfind("link") if link.find("collision") is not None}
+    for name in joints:
+        leader = _first_leader(name, leaders, chain)
+        child = urdf.link_name(joints[name], "child")
+        moved = [] if leader is None else [link for link in _below(child, joints.values()) if link in solid]
+        if moved:
+            raise WorkcellError(
+                f"{path}: joint '{name}' mimics joint '{leader}' of the arm and moves link '{moved[0]}', which has "
+                "<collision>, but plans move nothing except the joints that lead to the tip; leave out "
+                f"'{child}' (leave_out), or lock '{name}' (locked) if it stands still"
+            )
+    rest = {name: _rest(joint) for name, joint in joints.items() if name not in chain and leaders[name] is None}
+    away = [f"{name} at {value:g}" for name, value in rest.items() if value]
+    if away:
+        text = "%s: 0 is outside the limits of joints beside the arm, which are locked at the nearest value (%s); give"
+        logger.warning(f"{text} as locked where they are", path, ", ".join(away))
+    for name, value in _with_mimics(joints, rest, path).items():
+        if value:
+            _fix(joints[name], value, f"{path}: joint '{name}'")
+
+
+def _leader(joint: ET.Element, joints: Mapping[str, ET.Element]) -> str | None:
+    """Return which of `joints` moves `joint`, which mimics it, if any."""
+    mimic = joint.find("mimic") if joint.get("type") in urdf.MOVING else None
+    leader = None if mimic is None else mimic.get("joint", "")
+    return leader if leader in joints else None
+
+
+def _first_leader(name: str, leaders: Mapping[str, str | None], chain: Sequence[str]) -> str | None:
+    """Return the joint of `chain` that moves the joint `name`, directly or through others, if any."""
+    passed: list[str] = []
+    leader = leaders[name]
+    while leader is not None and leader not in chain and leader not in passed:
+        passed.append(leader)
+        leader = leaders[leader]
+    return leader if leader in chain else None
+
+
+def _below(link: str, joints: Iterable[ET.Element]) -> list[str]:
+    """Return `link` and the links that hang from it, the nearest first."""
+    found, pairs = [link], [(urdf.link_name(joint, "parent"), urdf.link_name(joint, "child")) for joint in joints]
+    for parent in found:
+        found += [child for above, child in pairs if above == parent and child not in found]
+    return found
+
+
+def _rest(joint: ET.Element) -> float:
+    """Return the value within the limits of `joint` that is nearest to 0; limits that make no sense have no say."""
+    limit = joint.find("limit") if joint.get("type") in ("revolute", "prismatic") else None
+    if limit is None:
+        return 0.0
+    found = urdf.numbers(f"{limit.get('lower', '0')} {limit.get('upper', '0')}", 2)
+    return min(max(0.0, found[0]), found[1]) if found and found[0] <= found[1] else 0.0
 
 
 def _with_mimics(joints: Mapping[str, ET.Element], values: Mapping[str, float], path: Path) -> dict[str, float]:

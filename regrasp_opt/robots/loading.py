@@ -75,7 +75,8 @@ def load_robot(
 ) -> Robot:
     """Return a robot by name, or any serial arm from the path of its URDF or xacro file.
 
-    Joints that do not lead to the tip are locked at their neutral position, unless `locked` says where.
+    Joints that do not lead to the tip are locked where `locked` says, else at 0 or at the limit nearest to it; those
+    that mimic them follow.
 
     Parameters
     ----------
@@ -186,6 +187,8 @@ def _source(
         urdf.report_tip(found, path)
         tip = found.link
     chain = urdf.chain_to(tip, root, parents, path)
+    joints = tuple(joint.get("name", "") for joint in chain)
+    adaptation.settle(root, joints, path)
     if tip_position is not None or tip_rpy is not None:
         tip = adaptation.seat_tool(root, tip, tip_position or (0.0, 0.0, 0.0), tip_rpy or (0.0, 0.0, 0.0))
     urdf.report_limits(chain, path)
@@ -197,7 +200,6 @@ def _source(
                 known = ", ".join(urdf.closest(link, links))
                 raise WorkcellError(f"{path}: no link '{link}' to ignore collisions of; known: {known}")
     said = Semantics(frozenset(), {}) if srdf is None else read_srdf(srdf, links)
-    joints = tuple(joint.get("name", "") for joint in chain)
     try:
         xml = ET.tostring(root)
     except RecursionError as error:

@@ -78,6 +78,90 @@ def test_a_locked_joint_beside_the_arm_moves_its_bodies_and_those_that_mimic_it(
     np.testing.assert_allclose(place(open_, "other").translation, expected, atol=1e-12)
 
 
+BESIDE = (
+    "<link name='{name}'>{body}</link><joint name='{name}' type='{kind}'><parent link='{parent}'/>"
+    "<child link='{name}'/><axis xyz='0 1 0'/><limit lower='{low}' upper='{high}' velocity='1' effort='1'/>{more}"
+    "</joint>"
+)
+HIGH = BODY.replace("<geometry>", "<origin xyz='0 0 0.5'/><geometry>")
+
+
+def beside(name, parent="link0", body="", kind="revolute", low=-3, high=3, more=""):
+    return BESIDE.format(name=name, parent=parent, body=body, kind=kind, low=low, high=high, more=more)
+
+
+def centre(robot, link):
+    """Return where the first body of `link` is, as a link that does not move."""
+    return next(g for i, g in enumerate(robot.collision.geometryObjects) if robot.link_of(i) == link).placement
+
+
+@pytest.mark.parametrize(
+    ("extra", "joint", "leader", "link"),
+    [
+        (beside("rod", body=BODY, more="<mimic joint='j1'/>"), "rod", "j1", "rod"),
+        (beside("rod", body=BODY, more="<mimic joint='j2' multiplier='-1'/>"), "rod", "j2", "rod"),
+        (beside("rod", body=BODY, kind="prismatic", more="<mimic joint='j1'/>"), "rod", "j1", "rod"),
+        (
+            beside("rod", more="<mimic joint='j3'/>") + beside("end", "rod", kind="fixed") + beside("tip", "end", BODY),
+            "rod",
+            "j3",
+            "tip",
+        ),
+        (
+            beside("bar", more="<mimic joint='rod'/>", body=BODY) + beside("rod", more="<mimic joint='j1'/>"),
+            "bar",
+            "j1",
+            "bar",
+        ),
+    ],
+)
+def test_bodies_that_move_with_a_joint_of_the_arm_beside_it_are_refused(write, extra, joint, leader, link):
+    path = write(arm_urdf([TURNING] * 6, extra))
+    said = refusal(path, tip="link6")
+    assert f"joint '{joint}' mimics joint '{leader}' of the arm and moves link '{link}', which has <collision>" in said
+    assert f"leave out '{joint}' (leave_out), or lock '{joint}' (locked)" in said
+    assert load_robot(path, tip="link6", leave_out=[joint]).dof == 6
+    assert load_robot(path, tip="link6", locked={joint: 0.1}).dof == 6
+    if leader == "j1":
+        assert load_robot(path, tip="link6", locked={"j1": 0.4}).joint_names == ("j2", "j3", "j4", "j5", "j6")
+
+
+def test_links_without_bodies_may_move_beside_the_arm(write):
+    extra = beside("rod", more="<mimic joint='j1'/>") + beside("bar", body=BODY, more="<mimic joint='bar'/>")
+    robot = load_robot(write(arm_urdf([TURNING] * 6, extra)), tip="link6")
+    assert [robot.link_of(i) for i in range(robot.collision.ngeoms)] == ["bar"]
+
+
+def test_mimics_follow_leaders_that_nobody_locked(write, caplog):
+    mimic = "<mimic joint='{}' multiplier='{}' offset='{}'/>"
+    extra = beside("lead") + beside("a", body=HIGH, more=mimic.format("lead", 1, -1.5))
+    extra += beside("b", body=HIGH, kind="prismatic", more=mimic.format("a", -2, 0.1))
+    path = write(arm_urdf([TURNING] * 6, extra))
+    with caplog.at_level(logging.WARNING):
+        robot = load_robot(path, tip="link6")
+    np.testing.assert_allclose(centre(robot, "a").translation, [0.5 * np.sin(-1.5), 0, 0.5 * np.cos(1.5)], atol=1e-12)
+    np.testing.assert_allclose(centre(robot, "b").translation, [0, 3.1, 0.5], atol=1e-12)
+    assert "outside the limits" not in caplog.text
+    assert robot.fingerprint() == load_robot(path, tip="link6", locked={"lead": 0.0}).fingerprint()
+
+
+@pytest.mark.parametrize(("low", "high", "rest"), [(0.5, 1, 0.5), (-1, -0.25, -0.25), (-1, 1, 0), (0, 0, 0)])
+def test_joints_beside_the_arm_rest_within_their_limits(write, caplog, low, high, rest):
+    extra = beside("lead", body=HIGH, low=low, high=high)
+    extra += beside("a", body=HIGH, more="<mimic joint='lead' multiplier='2' offset='0.5'/>")
+    path = write(arm_urdf([TURNING] * 6, extra))
+    with caplog.at_level(logging.WARNING):
+        robot = load_robot(path, tip="link6")
+    np.testing.assert_allclose(centre(robot, "lead").translation[0], 0.5 * np.sin(rest), atol=1e-12)
+    np.testing.assert_allclose(centre(robot, "a").translation[0], 0.5 * np.sin(2 * rest + 0.5), atol=1e-12)
+    assert (f"the nearest value (lead at {rest:g}); give as locked where they are" in caplog.text) == (rest != 0)
+    if low < high:
+        caplog.clear()
+        robot = load_robot(path, tip="link6", locked={"lead": high})
+        np.testing.assert_allclose(centre(robot, "lead").translation[0], 0.5 * np.sin(high), atol=1e-12)
+        assert caplog.text.count("locked where they are") == 0
+
+
 def test_wrong_values_of_locked_joints_are_refused(write):
     path = write(arm_urdf(MIXED))
     assert "joint 'j7' cannot be locked, it does not exist; joints that move: j1" in refusal(path, locked={"j7": 0})
@@ -116,7 +200,7 @@ def test_the_tool_sits_where_it_is_told(write):
         (gripper(), "moved", 7),  # nothing says that this is a jaw
         (gripper(name="gripper_drive"), "hand", 6),
         (gripper(name="left_finger_joint"), "hand", 6),
-        (gripper(more="<mimic joint='j1'/>"), "hand", 6),
+        (gripper(more="<mimic joint='j1'/>", body=""), "hand", 6),
     ],
 )
 def test_an_arm_ends_before_its_jaw(write, caplog, extra, tip, dof):
