@@ -45,6 +45,9 @@ EXAMPLE_ROBOT_NAMES = ("ur3", "ur5", "ur10", "panda", "xarm7", "kinova", "z1")
 
 SUFFIXES = (".urdf", ".xacro")
 
+ALONG = 0.999
+"""Cosine from which an axis counts as along another."""
+
 
 @dataclass(frozen=True)
 class RobotSource:
@@ -85,6 +88,7 @@ def load_robot(
         ``.urdf`` or ``.xacro``, or has a folder in it.
     tip : str, optional
         Link that carries the tool; by default ``tool0``, ``flange`` or ``ee_link``, else where the arm ends.
+        A warning says so where the last joint turns about the +x of that link, so that the tool is mounted across.
     tip_position, tip_rpy : sequences of three floats, optional
         Where the tool's flange frame sits on that link [m, rad]; by default at its origin, along its +z.
     package_dirs : iterable of paths
@@ -124,6 +128,27 @@ def load_robot(
     source = _source(name, path, root, folders, None if srdf is None else Path(srdf), frozenset(ignored), **given)
     robot = build_robot(source)
     check_sizes(robot)
+    if given["tip"] is None and given["tip_rpy"] is None:
+        _report_mount(robot)
+    _report_bare(robot, path)
+    return robot
+
+
+def _report_mount(robot: Robot) -> None:
+    """Log a line where the tool stands across the axis of the last joint, which runs along the +x of the tip."""
+    along = np.abs(robot.chain.tip[:3, :3].T @ robot.chain.axes[-1])
+    if along[0] > ALONG and not robot.chain.prismatic[-1]:
+        logger.warning(
+            "%s: the tool is mounted along +z of '%s', the tip that was taken, but '%s' turns about its x; if the arm "
+            "points along that, give tip_rpy = [0, 1.5708, 0], else tip_rpy = [0, 0, 0] or another link as the tip",
+            robot.urdf_path,
+            robot.tip_frame,
+            robot.joint_names[-1],
+        )
+
+
+def _report_bare(robot: Robot, path: Path) -> None:
+    """Log a line where links that move have no body."""
     bare = robot.links_without_body()
     if not robot.collision.ngeoms:
         logger.warning("%s has no <collision> element; no part of the arm is tested for collision", path)
@@ -131,7 +156,6 @@ def load_robot(
         names = ", ".join(bare[: urdf.NAMED])
         names += f" and {len(bare) - urdf.NAMED} more links" if len(bare) > urdf.NAMED else ""
         logger.warning("%s has no <collision> element in %s; what has none is not tested for collision", path, names)
-    return robot
 
 
 def _named(name: str) -> tuple[Path, dict[str, Any]]:

@@ -214,6 +214,55 @@ def test_an_arm_ends_before_its_jaw(write, caplog, extra, tip, dof):
         assert len(said) == 1 and "(one of link6, hand, tcp)" in said[0] and "before " in said[0]
 
 
+def end(name, rpy):
+    joint = (
+        f"<joint name='{name}' type='fixed'><parent link='link6'/><child link='{name}'/><origin rpy='{rpy}'/></joint>"
+    )
+    return f"<link name='{name}'/>{joint}"
+
+
+X_FORWARD, AS_TOOL0 = "0 -1.5707963 -1.5707963", "0 0 0"
+ROLL = [("revolute", "0 0 0.3", "0 0 0", "0 0 1", TURN)] * 6
+
+
+def mounts_said(path, caplog, **options):
+    caplog.clear()
+    with caplog.at_level(logging.WARNING):
+        robot = load_robot(path, **options)
+    return robot, [text for text in (r.getMessage() for r in caplog.records) if "the tool is mounted along" in text]
+
+
+@pytest.mark.parametrize(
+    ("axis", "extra", "tip", "across"),
+    [
+        ("0 0 1", end("flange", X_FORWARD), "flange", True),
+        ("0 0 -1", end("flange", X_FORWARD), "flange", True),
+        ("0 1 0", end("ee_link", "0 0 1.5707963"), "ee_link", True),
+        ("1 0 0", "", "link6", True),
+        ("0 0 1", end("flange", AS_TOOL0), "flange", False),
+        ("0 0 1", end("flange", "3.1415927 0 0"), "flange", False),
+        ("0 0 1", end("flange", X_FORWARD) + end("tool0", AS_TOOL0), "tool0", False),
+        ("0 1 0", end("flange", AS_TOOL0), "flange", False),
+        ("0 0 1", end("flange", "0 0.7 0"), "flange", False),
+    ],
+)
+def test_a_default_tip_that_points_along_its_x_is_said_to(write, caplog, axis, extra, tip, across):
+    path = write(arm_urdf([*ROLL[:5], (*ROLL[0][:3], axis, TURN)], extra))
+    robot, said = mounts_said(path, caplog)
+    assert robot.tip_frame == tip and len(said) == across
+    if across:
+        assert f"along +z of '{tip}', the tip that was taken, but 'j6' turns about its x; if the arm" in said[0]
+    assert mounts_said(path, caplog, tip=tip)[1] == mounts_said(path, caplog, tip_rpy=[0, 0, 0])[1] == []
+    turned, said = mounts_said(path, caplog, tip_rpy=[0, 1.5707963, 0])
+    np.testing.assert_allclose(turned.chain.tip[:3, 2], robot.chain.tip[:3, 0], atol=1e-6)
+    assert said == []
+
+
+def test_a_default_tip_after_a_slide_may_point_anywhere(write, caplog):
+    slide = ("prismatic", "0 0 0.3", "0 0 0", "1 0 0", (0, 0.2))
+    assert mounts_said(write(arm_urdf([*ROLL[:5], slide])), caplog)[1] == []
+
+
 @pytest.mark.parametrize(
     ("urdf", "tip"),
     [
