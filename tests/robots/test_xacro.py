@@ -65,6 +65,30 @@ def test_what_xacro_says_is_passed_on(workspace, tmp_path, capfd):
     assert capfd.readouterr().err == ""
 
 
+PLAIN_NAME = '<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+
+
+def test_arguments_that_the_file_does_not_have_are_refused(workspace, tmp_path):
+    said = refusal(workspace, xacro_args={"limt": "1.5"})
+    assert said.endswith("arm.urdf.xacro has no argument 'limt' to give in xacro_args; known: limit")
+    parts = tmp_path / "meshes-main" / "urdf" / "parts.xacro"
+    inner = '<xacro:arg name="reach" default="0.3"/><xacro:property name="reach" value="$(arg reach)"/></robot>'
+    parts.write_text(PARTS.replace('<xacro:property name="reach" value="0.3"/></robot>', inner))
+    robot = load_robot(workspace, xacro_args={"reach": "0.4", "limit": "1.5"})
+    assert robot.upper[0] == 1.5 and robot.chain.placements[1, 2, 3] == 0.4
+    said = refusal(workspace, xacro_args={"limit": "1", "rech": "0.4"})
+    assert said.endswith("'rech' to give in xacro_args; known: reach, limit")
+    bare = tmp_path / "bare.xacro"
+    bare.write_text(ARM.replace("<robot name='arm'>", PLAIN_NAME))
+    assert refusal(bare, xacro_args={"limit": "1"}).endswith("it has none; leave xacro_args out")
+
+
+def test_an_argument_that_is_used_without_being_declared_may_be_given(tmp_path):
+    bare = tmp_path / "bare.xacro"
+    bare.write_text(ARM.replace("<robot name='arm'>", PLAIN_NAME).replace("upper='2'", "upper='$(arg limit)'"))
+    assert load_robot(bare, xacro_args={"limit": "1.5"}).upper.tolist() == [1.5] * 6
+
+
 def test_the_extra_is_named_where_it_is_missing(workspace, monkeypatch):
     real = builtins.__import__
 
