@@ -43,6 +43,9 @@ MOST_TURNS = 10
 SPEEDS = {"revolute": math.pi, "prismatic": 0.25}
 """Largest speed of a joint whose URDF states none [rad/s, m/s]."""
 
+FAST = {"revolute": 20.0, "prismatic": 10.0}
+"""Speeds beyond which another unit may be meant [rad/s, m/s]."""
+
 
 def parse_xml(content: bytes) -> ET.Element:
     """Return the root element of `content`, read as leniently as urdfdom does.
@@ -245,7 +248,7 @@ def limits(joint: ET.Element, path: Path) -> dict[str, float]:
     if axis is not None and not any(map(_number, axis.get("xyz", "1 0 0").split())):
         raise WorkcellError(f"{where} has no axis; give it a direction")
     given = {} if limit is None else {key: _number(value) for key, value in limit.attrib.items()}
-    speed = given.get("velocity", SPEEDS["prismatic" if kind == "prismatic" else "revolute"])
+    speed = given.get("velocity", SPEEDS[_motion(joint)])
     low, high = (-math.tau, math.tau) if kind == "continuous" else (given.get(key, 0.0) for key in ("lower", "upper"))
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise WorkcellError(f"{where} needs a <limit> with finite lower and upper, lower < upper")
@@ -263,17 +266,28 @@ def limits(joint: ET.Element, path: Path) -> dict[str, float]:
 
 
 def report_limits(chain: Sequence[ET.Element], path: Path) -> None:
-    """Log a line where more than two turns may be meant in degrees, and one where no speed is given."""
+    """Log a line where limits may be meant in degrees, one where speeds may, and one where no speed is given."""
     known = {str(joint.get("name")): limits(joint, path) for joint in chain}
     turning = [str(joint.get("name")) for joint in chain if joint.get("type") == "revolute"]
     far = [name for name in turning if max(-known[name]["lower"], known[name]["upper"]) > TWO_TURNS]
     if far:
         text = "%s: joints may turn by more than two turns (%s); if their limits are degrees, give radians"
         logger.warning(text, path, ", ".join(far))
-    silent = [str(j.get("name")) for j in chain if j.find("limit[@velocity]") is None and j.get("type") != "continuous"]
+    speeds = [(joint, known[str(joint.get("name"))]["velocity"]) for joint in chain]
+    fast = [f"{joint.get('name')} at {speed:g}" for joint, speed in speeds if speed > FAST[_motion(joint)]]
+    if fast:
+        text = "%s: joints may move faster than %g rad/s or %g m/s (%s); if their URDF has degrees or millimetres, "
+        text += "give rad/s or m/s"
+        logger.warning(text, path, FAST["revolute"], FAST["prismatic"], ", ".join(fast))
+    silent = [str(joint.get("name")) for joint in chain if joint.find("limit[@velocity]") is None]
     if silent:
         text = "%s states no velocity limit (%s); %.3g rad/s is assumed for turning and %.3g m/s for sliding joints"
         logger.warning(text, path, ", ".join(silent), SPEEDS["revolute"], SPEEDS["prismatic"])
+
+
+def _motion(joint: ET.Element) -> str:
+    """Return the key of `joint` in `SPEEDS` and `FAST`."""
+    return "prismatic" if joint.get("type") == "prismatic" else "revolute"
 
 
 def report_tip(tip: Tip, path: Path) -> None:

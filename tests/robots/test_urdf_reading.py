@@ -82,12 +82,35 @@ def test_a_speed_that_is_missing_is_assumed_and_said(tmp_path, caplog):
     text = arm_urdf([(kind, "0 0 0.3", "0 0 0", "0 1 0", limits) for kind, limits in rows])
     silent = text.replace("velocity='1' ", "", 2)
     robot, [said] = said_of(write(tmp_path / "arm.urdf", silent), caplog)
-    assert "states no velocity limit (j1, j2); 3.14 rad/s is assumed for turning and 0.25 m/s for sliding" in said
+    assert "states no velocity limit (j1, j2, j4); 3.14 rad/s is assumed for turning and 0.25 m/s for sliding" in said
     np.testing.assert_array_equal(robot.velocity_limits, [math.pi, 0.25, 1, math.pi])
-    assert said_of(write(tmp_path / "arm.urdf", text), caplog)[1] == []
+    stated = text.replace("</joint></robot>", "<limit velocity='2' effort='1'/></joint></robot>")
+    robot, said = said_of(write(tmp_path / "arm.urdf", stated), caplog)
+    assert robot.velocity_limits.tolist() == [1, 1, 1, 2] and said == []
     assert "j1' has a velocity limit that is not a finite number" in refusal(
         write(tmp_path / "arm.urdf", text.replace("velocity='1'", "velocity='fast'", 1))
     )
+
+
+@pytest.mark.parametrize(
+    ("kind", "speed", "fast"),
+    [
+        ("revolute", 180, True),
+        ("revolute", 30, True),
+        ("revolute", 17.5, False),
+        ("continuous", 90, True),
+        ("continuous", 10, False),
+        ("prismatic", 250, True),
+        ("prismatic", 5, False),
+    ],
+)
+def test_speeds_that_may_be_degrees_or_millimetres_are_said_once(tmp_path, caplog, kind, speed, fast):
+    text = arm_urdf([(kind, "0 0 0.3", "0 0 0", "0 1 0", (-0.2, 0.2))] * 3)
+    path = write(tmp_path / "arm.urdf", text.replace("velocity='1'", f"velocity='{speed}'", 2))
+    robot, said = said_of(path, caplog)
+    assert robot.velocity_limits.tolist() == [speed, speed, 1] and len(said) == fast
+    for line in said:
+        assert f"faster than 20 rad/s or 10 m/s (j1 at {speed}, j2 at {speed}); if their URDF has degrees" in line
 
 
 @pytest.mark.parametrize(
