@@ -79,7 +79,8 @@ def settle(root: ET.Element, chain: Sequence[str], path: Path) -> None:
     Raises
     ------
     WorkcellError
-        If a joint beside the chain moves bodies as a joint of the chain does, which it mimics.
+        If a joint beside the chain moves bodies as a joint of the chain does, which it mimics, or its <mimic> has wrong
+        numbers.
     """
     joints = {joint.get("name", ""): joint for joint in root.iterfind("joint")}
     leaders = {name: _leader(joint, joints) for name, joint in joints.items()}
@@ -151,7 +152,12 @@ def _with_mimics(joints: Mapping[str, ET.Element], values: Mapping[str, float], 
                     _vector(mimic, key, default, 1, f"{path}: joint '{name}'")[0]
                     for key, default in (("multiplier", "1"), ("offset", "0"))
                 )
-                more[name] = factor * found[leader] + offset
+                more[name] = float(factor) * found[leader] + float(offset)
+                if not math.isfinite(more[name]):
+                    raise WorkcellError(
+                        f"{path}: joint '{name}' mimics joint '{leader}' to {more[name]}; give its <mimic> a smaller "
+                        "multiplier and offset"
+                    )
         if not more:
             return found
         found |= more
@@ -180,7 +186,8 @@ def _vector(element: ET.Element | None, key: str, default: str, count: int, wher
     text = default if element is None else element.get(key, default)
     found = urdf.numbers(text, count)
     if not found or (element is not None and element.tag == "axis" and not any(found)):
-        raise WorkcellError(f'{where} has {key}="{text}"; give {count} numbers')
+        wanted = "1 number" if count == 1 else f"{count} numbers"
+        raise WorkcellError(f'{where} has {key}="{text}"; give {wanted}')
     return np.array(found)
 
 

@@ -145,6 +145,16 @@ def test_mimics_follow_leaders_that_nobody_locked(write, caplog):
     assert robot.fingerprint() == load_robot(path, tip="link6", locked={"lead": 0.0}).fingerprint()
 
 
+def test_mimics_with_wrong_numbers_are_refused(write):
+    lead = beside("lead", low=1e300, high=2e300)
+    for more, said in (
+        ("multiplier='1e300'", "joint 'a' mimics joint 'lead' to inf; give its <mimic> a smaller multiplier"),
+        ("offset='x'", "joint 'a' has offset=\"x\"; give 1 number"),
+    ):
+        extra = lead + beside("a", body=BODY, more=f"<mimic joint='lead' {more}/>")
+        assert refusal(write(arm_urdf([TURNING] * 6, extra)), tip="link6").count(said) == 1
+
+
 @pytest.mark.parametrize(("low", "high", "rest"), [(0.5, 1, 0.5), (-1, -0.25, -0.25), (-1, 1, 0), (0, 0, 0)])
 def test_joints_beside_the_arm_rest_within_their_limits(write, caplog, low, high, rest):
     extra = beside("lead", body=HIGH, low=low, high=high)
