@@ -32,8 +32,8 @@ FIELDS = {"header", "pose", "id", "type", "subframe_names", "subframe_poses", "o
 SIZES = {"box": 3, "sphere": 1, "cylinder": 2, "cone": 2, "plane": 4, "mesh": 0}
 """How many numbers say how large each kind of shape is."""
 
-FARTHEST = 1e3
-"""Farthest position that an obstacle may have [m]."""
+FARTHEST = 50.0
+"""Farthest position that an obstacle may have along an axis [m]: beyond, it is no obstacle, or in millimetres."""
 
 ADD, REMOVE, APPEND = 0, 1, 2
 """Operations of ``moveit_msgs/msg/CollisionObject``."""
@@ -120,6 +120,10 @@ def read_scene_yaml(path: Path, known: dict[str, FloatArray]) -> list[Shape]:
     if len(documents) > 1:
         logger.warning("%s holds %d messages; the first counts", path, len(documents))
     content = documents[0]
+    if isinstance(content, dict) and content.get("is_diff") not in (None, False):
+        raise WorkcellError(
+            f"scene {path} has is_diff: true, and lacks what did not change; give a whole scene, not a difference"
+        )
     reader = _Shapes(path)
     state = content.get("robot_state") if isinstance(content, dict) else None
     attached = state.get("attached_collision_objects") if isinstance(state, dict) else None
@@ -200,7 +204,7 @@ class _Shapes:
         T[:3, 3] = position
         if not (np.abs(T[:3, 3]) <= FARTHEST).all():
             far = np.abs(T[:3, 3]).max()
-            raise WorkcellError(f"scene {self.path}: object '{name}' is {far:.3g} m away; give metres")
+            raise WorkcellError(f"scene {self.path}: object '{name}' is {far:.3g} m away; give metres, or leave it out")
         with np.errstate(over="ignore", invalid="ignore"):
             length = float(np.linalg.norm(quaternion))
         if length != 0:

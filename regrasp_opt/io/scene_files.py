@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from regrasp_opt.conventions import FloatArray
 from regrasp_opt.errors import OptionError, WorkcellError
 from regrasp_opt.geometry.shapes import Shape
 from regrasp_opt.io.mjcf import read_mjcf
@@ -33,7 +34,8 @@ def read_obstacles(
         Tells where the robot's root link is, whose name poses may be given in.
     frame : str, optional
         In which frame the poses of a ``.scene`` file or a model of MuJoCo's are, since these do not say: ``"world"``,
-        which is the default, or the robot's root link.
+        which is the default, or the robot's root link. ``"world"`` is always our world, even if the root link has the
+        same name; a message that says ``world`` means the root link then.
 
     Returns
     -------
@@ -48,19 +50,20 @@ def read_obstacles(
     OptionError
         If `frame` is not known, or the file names the frames itself.
     """
-    path, known = Path(path), {"": np.eye(4), "world": np.eye(4)}
+    path, world, root = Path(path), {"world": np.eye(4)}, dict[str, FloatArray]()
     if workcell is not None:
-        known[str(workcell.arm.robot.model.frames[1].name)] = workcell.arm.T_world_base
-    suffix = path.suffix.lower()
+        root[str(workcell.arm.robot.model.frames[1].name)] = workcell.arm.T_world_base
+    suffix, known = path.suffix.lower(), {**root, **world}
     if frame is not None and (frame not in known or suffix not in (".scene", ".xml", ".mjcf")):
-        names = " and ".join(f"'{name}'" for name in known if name)
+        names = " and ".join(f"'{name}'" for name in known)
         raise OptionError(
             f"frame '{frame}' is not known or not needed for '{path}'; known: {names}, for .scene and MJCF"
         )
     if suffix == ".scene":
         shapes = read_scene_text(path)
     elif suffix in (".yaml", ".yml"):
-        shapes = read_scene_yaml(path, known)
+        named = {**world, **root}  # a root link called world is what the message means
+        shapes = read_scene_yaml(path, {**named, "": named["world"]})
     elif suffix in (".xml", ".mjcf"):
         shapes = read_mjcf(path)
     else:

@@ -14,6 +14,7 @@ import pytest
 import scene_texts
 import trimesh
 import yaml
+from oracles.files import DATA
 from scene_texts import BODIES, Body, collision_object, mjcf, planning_scene, pose, scene_text
 from scipy.spatial.transform import Rotation
 
@@ -260,6 +261,22 @@ def test_poses_may_be_in_the_frame_of_the_robots_root_link(tmp_path: Path) -> No
             read_obstacles(path, moved, frame=frame)
 
 
+def test_a_root_link_called_world_moves_only_what_names_it(tmp_path: Path) -> None:
+    urdf = (DATA / "robots" / "nova2" / "nova2.urdf").read_text("utf-8").replace('"base_link"', '"world"')
+    text = (DATA / "workcells" / "nova2-w.toml").read_text("utf-8").replace('"nova2"', '"arm.urdf"')
+    saved(tmp_path / "arm.urdf", urdf)
+    cell = load_workcell(saved(tmp_path / "cell.toml", text))
+    assert cell.robot.model.frames[1].name == "world"
+    T_base = pose((0.3, 0.1, 0.5), (0.0, 0.0, 1.0))
+    moved = replace(cell, arm=replace(cell.arm, T_world_base=T_base))
+    for path in (saved(tmp_path / "a.scene", scene_text(BODIES[:1])), saved(tmp_path / "a.xml", mjcf(BODIES[:1]))):
+        for frame in (None, "world"):
+            np.testing.assert_allclose(read_obstacles(path, moved, frame=frame)[0].pose, BODIES[0].T, atol=1e-9)
+    for name in ("world", ""):
+        message = saved(tmp_path / "a.yaml", [collision_object(BODIES[0], name)])
+        np.testing.assert_allclose(read_obstacles(message, moved)[0].pose, T_base @ BODIES[0].T, atol=1e-9)
+
+
 def _changed(body: Body = BODIES[0], **changes: Any) -> list[dict[str, Any]]:
     return [{**collision_object(body), **changes}]
 
@@ -275,7 +292,7 @@ BROKEN = {
     "more.scene": (scene_text().replace("\n1\nbox", "\n2\nbox", 1), "object 'crate one'"),
     "less.scene": (scene_text().replace("\n1\nbox", "\n0\nbox", 1), "object 'crate one' is not complete"),
     "nan.scene": (scene_text().replace("0.2 0.1 0.3", "0.2 nan 0.3"), "is a box of dimensions [0.2, nan, 0.3]"),
-    "far.scene": (scene_text().replace("\n0.4 0.1 0.15", "\n400 0.1 1500.0"), "is 1.5e+03 m away; give metres"),
+    "far.scene": (scene_text().replace("\n0.4 0.1 0.15", "\n40 10 150"), "'crate one' is 150 m away; give metres"),
     "count.scene": (scene_text().replace("mesh\n", f"mesh\n{10**30}"), "object 'bracket' is not complete"),
     "flat.scene": (scene_text().replace("0.2 0.1 0.3", "0.2 0.0 0.3"), "is a box of dimensions [0.2, 0.0, 0.3]"),
     "kind.scene": (scene_text().replace("\nbox", "\nprism"), "a shape of kind 'prism'; known: box, sphere"),
@@ -295,6 +312,7 @@ BROKEN = {
     "pose.yaml": (_changed(pose=[0, 0, 0]), "object 'crate one' is not a CollisionObject"),
     "key.yaml": (_changed(primitive_pose=[]), "object 'crate one' has the unknown key 'primitive_pose'"),
     "axis.yaml": (_changed(pose={"position": {"x": 1, "w": 2}}), "has the unknown key 'w'"),
+    "diff.yaml": ({**planning_scene(_changed()), "is_diff": True}, "give a whole scene, not a difference"),
     "move.yaml": (_changed(operation=3), "is only moved; give a whole scene"),
     "frame.yaml": ([collision_object(BODIES[0], "camera")], "is in the frame 'camera', and known are 'world'"),
     "urdf.xml": ('<robot name="arm"><link name="base"/></robot>', "it has no <mujoco>; give an MJCF file"),
