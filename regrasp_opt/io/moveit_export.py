@@ -1,8 +1,8 @@
 """The scenes of a motion for MoveIt: ``moveit_msgs/msg/PlanningScene`` in YAML, one document for each.
 
 A scene is what is there while the arm rests at a grasp: the object where it stands, or in the hand. Poses are in the
-frame of the robot's root link, those of attached bodies in the frame of the link at the tip. Who may touch whom is what
-the collision world says, by which the motion was verified.
+frame of the robot's root link, those of attached bodies in the frame of the link that carries the tool. All names are
+those of the robot's own file. Who may touch whom is what the collision world says, by which the motion was verified.
 """
 
 from __future__ import annotations
@@ -64,10 +64,10 @@ def _scene(motion: MotionPlan, name: str, jaw: Segment, at: int | None) -> dict[
     fixed = [(names[i], shape) for i, shape in zip((*world.supports, *world.obstacles), shapes, strict=True)]
     body = Mesh(names[world.object], problem.object.vertices, problem.object.faces, np.eye(4))
     tool = (*arm.end_effector.body, *arm.end_effector.finger_boxes(min(jaw.jaw) if at is None else max(jaw.jaw)))
-    attached = [_collision_object(names[world.gripper[0]], robot.tip_frame, np.eye(4), tool)]
+    attached = [_collision_object(names[world.gripper[0]], robot.mount, robot.T_mount_tip, tool)]
     if at is None:
         T_tip_object = arm.end_effector.T_flange_tcp @ invert(problem.grasps.T_object_tcp[jaw.grasp_id])
-        attached.append(_collision_object(body.name, robot.tip_frame, T_tip_object, [body]))
+        attached.append(_collision_object(body.name, robot.mount, robot.T_mount_tip @ T_tip_object, [body]))
         ends = [problem.checker.support_below(T) for T in poses[jaw.transition : jaw.transition + 2]]
         pairs = set(world.pairs(ContactPhase.LIFT, ends[0])) & set(world.pairs(ContactPhase.LIFT, ends[1]))
     else:
@@ -75,12 +75,14 @@ def _scene(motion: MotionPlan, name: str, jaw: Segment, at: int | None) -> dict[
         pairs = set(world.pairs(ContactPhase.MOVE))
     root = str(robot.model.frames[1].name)
     last = [f.name for f in robot.model.frames if f.type == pin.FrameType.BODY and f.parentJoint == robot.dof]
+    touched = [name for name in last if name == robot.mount or name != robot.tip_frame]
+    joints = dict(zip(robot.joint_names, jaw.trajectory.positions[0].tolist(), strict=True)) | robot.locked
     return {
         "name": name,
         "robot_state": {
-            "joint_state": {"name": list(robot.joint_names), "position": jaw.trajectory.positions[0].tolist()},
+            "joint_state": {"name": list(joints), "position": list(joints.values())},
             "attached_collision_objects": [
-                {"link_name": robot.tip_frame, "object": each, "touch_links": last} for each in attached
+                {"link_name": robot.mount, "object": each, "touch_links": touched} for each in attached
             ],
         },
         "robot_model_name": robot.name,

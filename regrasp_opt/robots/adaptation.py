@@ -46,8 +46,8 @@ def leave_out(root: ET.Element, links: Iterable[str], path: Path) -> None:
             root.remove(element)
 
 
-def lock(root: ET.Element, values: Mapping[str, float], path: Path) -> None:
-    """Fix joints at `values` [rad, m], and those that mimic them where these put them, in place.
+def lock(root: ET.Element, values: Mapping[str, float], path: Path) -> dict[str, float]:
+    """Fix joints at `values` [rad, m], and those that mimic them where these put them, in place; return all of these.
 
     Raises
     ------
@@ -69,12 +69,16 @@ def lock(root: ET.Element, values: Mapping[str, float], path: Path) -> None:
             )
         if not math.isfinite(value):
             raise WorkcellError(f"{path}: joint '{name}' cannot be locked at {value}; give a finite number")
-    for name, value in _with_mimics(joints, values, path).items():
+    held = _with_mimics(joints, values, path)
+    for name, value in held.items():
         _fix(joints[name], value, f"{path}: joint '{name}'")
+    return held
 
 
-def settle(root: ET.Element, chain: Sequence[str], path: Path) -> None:
+def settle(root: ET.Element, chain: Sequence[str], path: Path) -> dict[str, float]:
     """Fix the joints beside `chain` where they rest, in place: at 0, or at the limit nearest to it; mimics follow.
+
+    Return where those rest that mimic none [rad, m].
 
     Raises
     ------
@@ -95,7 +99,8 @@ def settle(root: ET.Element, chain: Sequence[str], path: Path) -> None:
                 "<collision>, but plans move nothing except the joints that lead to the tip; leave out "
                 f"'{child}' (leave_out), or lock '{name}' (locked) if it stands still"
             )
-    rest = {name: _rest(joint) for name, joint in joints.items() if name not in chain and leaders[name] is None}
+    beside = {name: joint for name, joint in joints.items() if joint.get("type") in urdf.MOVING and name not in chain}
+    rest = {name: _rest(joint) for name, joint in beside.items() if leaders[name] is None}
     away = [f"{name} at {value:g}" for name, value in rest.items() if value]
     if away:
         text = "%s: 0 is outside the limits of joints beside the arm, which are locked at the nearest value (%s); give"
@@ -103,6 +108,7 @@ def settle(root: ET.Element, chain: Sequence[str], path: Path) -> None:
     for name, value in _with_mimics(joints, rest, path).items():
         if value:
             _fix(joints[name], value, f"{path}: joint '{name}'")
+    return rest
 
 
 def _leader(joint: ET.Element, joints: Mapping[str, ET.Element]) -> str | None:

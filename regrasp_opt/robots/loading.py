@@ -58,6 +58,8 @@ class RobotSource:
     xml: bytes
     joints: tuple[str, ...]
     tip: str
+    mount: str
+    locked: tuple[tuple[str, float], ...]
     home: tuple[float, ...] | None
     ignored: frozenset[frozenset[str]]
 
@@ -204,15 +206,15 @@ def _source(
 ) -> RobotSource:
     """Return the robot in `root`, which is changed as the options of `load_robot` ask."""
     adaptation.leave_out(root, leave_out or (), path)
-    adaptation.lock(root, locked or {}, path)
+    held = adaptation.lock(root, locked or {}, path)
     parents = urdf.joint_of_child(root, path)
     if tip is None:
         found = urdf.default_tip(root, parents)
         urdf.report_tip(found, path)
         tip = found.link
-    chain = urdf.chain_to(tip, root, parents, path)
+    chain, mount = urdf.chain_to(tip, root, parents, path), tip
     joints = tuple(joint.get("name", "") for joint in chain)
-    adaptation.settle(root, joints, path)
+    beside = adaptation.settle(root, joints, path)
     if tip_position is not None or tip_rpy is not None:
         tip = adaptation.seat_tool(root, tip, tip_position or (0.0, 0.0, 0.0), tip_rpy or (0.0, 0.0, 0.0))
     urdf.report_limits(chain, path)
@@ -234,6 +236,8 @@ def _source(
         xml=xml,
         joints=joints,
         tip=tip,
+        mount=mount,
+        locked=tuple((beside | held).items()),
         home=_rest(home, said, joints, srdf or path),
         ignored=ignored | said.ignored,
     )
@@ -272,6 +276,8 @@ def build_robot(source: RobotSource) -> Robot:
         model=model,
         collision=collision_bodies(root, model, path),
         tip_frame=source.tip,
+        mount=source.mount,
+        locked=dict(source.locked),
         chain=chain,
         ik=inverse_kinematics(source.name, chain, lower, upper),
         lower=lower,

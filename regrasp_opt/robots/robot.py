@@ -46,6 +46,10 @@ class Robot:
         Collision bodies of all links, without collision pairs.
     tip_frame : str
         Link at the tip, a frame of `model`; tools are mounted on it, along +z.
+    mount : str
+        Link of the file that the tip is, or is fixed to.
+    locked : dict
+        Where the file's other joints are held, by name [rad, m].
     chain : SerialChain
         The same joints for batches of configurations.
     ik : InverseKinematics
@@ -69,6 +73,8 @@ class Robot:
     model: pin.Model
     collision: pin.GeometryModel
     tip_frame: str
+    mount: str
+    locked: dict[str, float]
     chain: SerialChain
     ik: InverseKinematics
     lower: FloatArray
@@ -91,6 +97,13 @@ class Robot:
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints, from the base to the tip."""
         return tuple(self.model.names)[1:]
+
+    @property
+    def T_mount_tip(self) -> FloatArray:
+        """Where the tip is on the link `mount` (4, 4)."""
+        mount, tip = (self.model.frames[self.model.getFrameId(f)].placement for f in (self.mount, self.tip_frame))
+        seat: FloatArray = (mount.inverse() * tip).homogeneous
+        return seat
 
     @cached_property
     def max_reach(self) -> float:

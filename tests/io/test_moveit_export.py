@@ -147,6 +147,41 @@ def test_only_what_touches_by_design_may_touch(scenes):
         assert {(a, b): allowed[names[a], names[b]] for a, b in wanted} == wanted
 
 
+def test_links_and_joints_are_those_of_the_robots_own_file(motion, tmp_path):
+    urdf = (DATA / "robots" / "nova2" / "nova2.urdf").read_text("utf-8")
+    lift = (
+        '<link name="pillar"/><joint name="lift" type="prismatic"><parent link="pillar"/><child link="base_link"/>'
+        '<axis xyz="0 0 1"/><limit lower="0" upper="0.5" velocity="1" effort="1"/></joint><link name="lid"/>'
+        '<joint name="hinge" type="revolute"><parent link="pillar"/><child link="lid"/><axis xyz="0 0 1"/>'
+        '<limit lower="-1" upper="1" velocity="1" effort="1"/></joint></robot>'
+    )
+    (tmp_path / "arm.urdf").write_text(urdf.replace("</robot>", lift), encoding="utf-8")
+    seat = "[robot]\ntip_position = [0.0, 0.01, 0.02]\ntip_rpy = [0.1, 0.2, 0.3]\nlocked = { lift = 0.2 }\n"
+    text = (DATA / "workcells" / "nova2-w.toml").read_text("utf-8").replace('"nova2"', '"arm.urdf"')
+    (tmp_path / "cell.toml").write_text(text.replace("[robot]\n", seat), encoding="utf-8")
+    problem = replace(motion.plan.problem, workcell=load_workcell(tmp_path / "cell.toml"))
+    scene = planning_scenes(replace(motion, plan=replace(motion.plan, problem=problem)))[1]
+    state, robot = scene["robot_state"], problem.workcell.robot
+    joints = dict(zip(state["joint_state"]["name"], state["joint_state"]["position"], strict=True))
+    assert (joints["lift"], joints["hinge"]) == (0.2, 0.0) and robot.tip_frame == "flange_tool"
+    model = pin.buildModelFromUrdf(str(tmp_path / "arm.urdf"))
+    assert set(joints) == set(list(model.names)[1:])
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, np.array([joints[name] for name in list(model.names)[1:]]))
+    T_tip = robot.forward([joints[name] for name in robot.joint_names])
+    tool, held = state["attached_collision_objects"]
+    for attached in (tool, held):
+        links = {attached["link_name"], attached["object"]["header"]["frame_id"], *attached["touch_links"]}
+        assert links == {"flange", "link6"}
+    about = received("moveit_msgs/msg/CollisionObject", tool["object"])
+    flange = data.oMf[model.getFrameId("flange")].homogeneous
+    np.testing.assert_allclose(flange @ pose(about.pose), T_tip, atol=1e-9)
+    about = received("moveit_msgs/msg/CollisionObject", held["object"])
+    (grasp,) = {s.grasp_id for s in motion.segments if s.phase is Phase.GRASP and s.transition == 0}
+    T_tcp = T_tip @ problem.workcell.arm.end_effector.T_flange_tcp
+    np.testing.assert_allclose(flange @ pose(about.pose) @ problem.grasps.T_object_tcp[grasp], T_tcp, atol=1e-9)
+
+
 def test_no_motion_is_refused(motion):
     unsolved = MotionPlan(MotionStatus.NO_MOTION, "blocked", motion.plan, (), *[np.ones(6)] * 2, 0.0)
     with pytest.raises(PlanFileError, match="blocked"):
