@@ -11,7 +11,7 @@ import sys
 import tempfile
 import zlib
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from tokenize import TokenError
 from typing import Any
@@ -93,6 +93,31 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
     finally:
         shutil.rmtree(fresh, ignore_errors=True)
         shutil.rmtree(old, ignore_errors=True)
+
+
+@contextmanager
+def exchanged_files(folder: Path, last: str) -> Iterator[Path]:
+    """Yield an empty folder in `folder`; on success its files replace those of their names, on any failure none does.
+
+    While they are exchanged, or if that fails, there is no file called `last`, which refers to the others. An OSError
+    names the file that was to be written.
+    """
+    made = not folder.exists()
+    folder.mkdir(parents=True, exist_ok=True)
+    fresh = Path(tempfile.mkdtemp(prefix=".new-", dir=folder))
+    try:
+        yield fresh
+        (folder / last).unlink(missing_ok=True)
+        for path in sorted(fresh.iterdir(), key=lambda path: (path.name == last, path.name)):
+            path.replace(folder / path.name)
+    except OSError as error:
+        name = str(error.filename or fresh).replace(str(fresh), str(folder))
+        raise error if error.errno is None else OSError(error.errno, error.strerror, name) from error
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)
+        if made:
+            with suppress(OSError):  # it is not empty on success
+                folder.rmdir()
 
 
 def machine_memory() -> float:

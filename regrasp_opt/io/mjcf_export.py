@@ -26,14 +26,18 @@ from scipy.spatial.transform import Rotation
 
 from regrasp_opt.conventions import FloatArray, translation
 from regrasp_opt.errors import OptionError
-from regrasp_opt.files import atomic_path
+from regrasp_opt.files import atomic_path, exchanged_files
 from regrasp_opt.geometry.shapes import Cylinder, Shape, mesh_faces, shape_geometry, surface_points
 from regrasp_opt.io.ros_export import GRIP_FORCE, check_solved
 from regrasp_opt.motion import MotionPlan
-from regrasp_opt.motion.trajectory.scene_export import mass_properties
+from regrasp_opt.motion.trajectory.scene_export import mass_properties, xml_names
+from regrasp_opt.robots import Robot
 
 OWN = {"world", "gripper", "left_finger", "right_finger", "cup", "object"}
 """Names of bodies that are not links of the robot."""
+
+TOLD = {"left_finger_joint", "right_finger_joint", "object", "jaw", "vacuum", "time", "transition", "phase"}
+"""Names of joints, actuators and columns of the trajectory that are not joints of the robot."""
 
 STEP = 0.01
 """Time between rows of the trajectory [s]."""
@@ -79,7 +83,7 @@ GROUPS = {
 
 
 def save_mjcf(motion: MotionPlan, folder: str | os.PathLike[str]) -> None:
-    """Write `motion` for MuJoCo into `folder` (docs/other-programs.md).
+    """Write `motion` for MuJoCo into `folder`, all files or none (docs/other-programs.md).
 
     Raises
     ------
@@ -89,13 +93,13 @@ def save_mjcf(motion: MotionPlan, folder: str | os.PathLike[str]) -> None:
         If the object is not convex and the package ``coacd`` is not installed.
     """
     check_solved(motion)
-    folder = Path(folder)
-    root = _Model(motion, folder).root
-    ET.indent(root)
-    with atomic_path(folder / "model.xml") as temporary:
-        ET.ElementTree(root).write(temporary, encoding="utf-8", xml_declaration=True)
-    with atomic_path(folder / "trajectory.csv") as temporary:
-        _write_trajectory(motion, temporary)
+    with exchanged_files(Path(folder), "model.xml") as fresh:
+        root = _Model(motion, fresh).root
+        ET.indent(root)
+        with atomic_path(fresh / "model.xml") as temporary:
+            ET.ElementTree(root).write(temporary, encoding="utf-8", xml_declaration=True)
+        with atomic_path(fresh / "trajectory.csv") as temporary:
+            _write_trajectory(motion, temporary)
 
 
 class _Model:
@@ -103,7 +107,7 @@ class _Model:
 
     def __init__(self, motion: MotionPlan, folder: Path) -> None:
         self._motion, self._problem, self._folder = motion, motion.plan.problem, folder
-        self.root = ET.Element("mujoco", model=self._problem.workcell.name)
+        self.root = ET.Element("mujoco", model=xml_names([self._problem.workcell.name])[0])
         ET.SubElement(self.root, "compiler", COMPILER)
         ET.SubElement(ET.SubElement(self.root, "option", OPTIONS), "flag", multiccd="enable")
         default = ET.SubElement(self.root, "default")
@@ -132,11 +136,12 @@ class _Model:
         """Add the arm, its servos, and what of its tool does not move; return the body of that."""
         arm, robot = self._problem.workcell.arm, self._problem.workcell.arm.robot
         chain, stiffness = robot.chain, _inertias(self._motion) * BANDWIDTH**2
-        body = ET.SubElement(self._world, "body", {"name": _link(robot, 0), **_place(arm.T_world_base)})
+        links = _links(robot)
+        body = ET.SubElement(self._world, "body", {"name": links[0], **_place(arm.T_world_base)})
         self._collision_bodies(body, 0)
-        for number, name in enumerate(robot.joint_names, start=1):
+        for number, name in enumerate(_joints(robot), start=1):
             T, inertia = chain.placements[number - 1], robot.model.inertias[number]
-            body = ET.SubElement(body, "body", {"name": _link(robot, number), "gravcomp": "1", **_place(T)})
+            body = ET.SubElement(body, "body", {"name": links[number], "gravcomp": "1", **_place(T)})
             _inertial(body, inertia.mass, inertia.lever, inertia.inertia)
             limits = robot.lower[number - 1], robot.upper[number - 1]
             kind = "slide" if chain.prismatic[number - 1] else "hinge"
@@ -260,7 +265,7 @@ def _inertias(motion: MotionPlan) -> FloatArray:
 def _write_trajectory(motion: MotionPlan, path: Path) -> None:
     """Write what each actuator is told, by its name, with the phase and number of the transition."""
     arm = motion.plan.problem.workcell.arm
-    names = *arm.robot.joint_names, "jaw" if arm.end_effector.kind == "parallel" else "vacuum"
+    names = *_joints(arm.robot), "jaw" if arm.end_effector.kind == "parallel" else "vacuum"
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(["time", "transition", "phase", *names])
@@ -283,10 +288,15 @@ def _grip(motion: MotionPlan) -> tuple[list[float], list[float]]:
     return times, told
 
 
-def _link(robot: Any, joint: int) -> str:
-    """Return the name of the first link that moves with a joint, 0 for the base, unless it is one of the tool's."""
-    frames = [f for f in robot.model.frames if f.type == pin.FrameType.BODY and f.parentJoint == joint]
-    return f"{frames[0].name}{'_link' * (frames[0].name in OWN)}"
+def _links(robot: Robot) -> list[str]:
+    """Return the name of the first link that moves with each joint, from the base on, unlike those that are `OWN`."""
+    links = {int(f.parentJoint): str(f.name) for f in reversed(robot.model.frames) if f.type == pin.FrameType.BODY}
+    return xml_names((links[joint] for joint in range(robot.dof + 1)), OWN)
+
+
+def _joints(robot: Robot) -> list[str]:
+    """Return what the joints and their actuators are called."""
+    return xml_names(robot.joint_names, TOLD)
 
 
 def _inertial(body: ET.Element, mass: float, center: Any, inertia: FloatArray) -> None:

@@ -2,6 +2,7 @@
 
 import csv
 import runpy
+import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +14,10 @@ import trimesh
 from oracles.files import DATA
 
 from regrasp_opt import RegraspProblem, solve_sequence
+from regrasp_opt.conventions import translation
 from regrasp_opt.errors import OptionError, PlanFileError
+from regrasp_opt.geometry.shapes import Mesh
+from regrasp_opt.io import mjcf_export
 from regrasp_opt.io.mjcf_export import convex_parts, save_mjcf
 from regrasp_opt.io.ros_export import GRIP_FORCE
 from regrasp_opt.motion import MotionPlan, MotionStatus, Phase, plan_motion, plan_with_motion
@@ -225,3 +229,39 @@ def test_a_missing_package_and_no_motion_are_one_sentence(motion, tmp_path, monk
     with pytest.raises(PlanFileError, match="blocked"):
         save_mjcf(unsolved, tmp_path / "model")
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("failure", ["package", "interrupt"])
+def test_a_failed_export_leaves_the_old_one(motion, folder, tmp_path, monkeypatch, failure):
+    shutil.copytree(folder, tmp_path / "model")
+    old = {path.name: path.read_bytes() for path in (tmp_path / "model").iterdir()}
+    plate = trimesh.creation.box((0.3, 0.02, 0.3))
+    shape = Mesh("plate", np.array(plate.vertices), np.array(plate.faces), translation(0.6, 0.8, 0.2))
+    problem = motion.plan.problem.with_obstacles([shape])
+    moved = replace(motion, plan=replace(motion.plan, problem=problem))
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    if failure == "package":
+        monkeypatch.setitem(sys.modules, "coacd", None)
+    else:
+        monkeypatch.setattr(mjcf_export, "_write_trajectory", interrupt)
+    with pytest.raises(OptionError if failure == "package" else KeyboardInterrupt):
+        save_mjcf(moved, tmp_path / "model")
+    assert {path.name: path.read_bytes() for path in (tmp_path / "model").iterdir()} == old
+
+
+def test_links_and_joints_may_be_called_like_those_of_the_gripper(motion, tmp_path):
+    urdf = (DATA / "robots" / "nova2" / "nova2.urdf").read_text("utf-8")
+    for old, new in (("link1", "gripper"), ("link2", "gripper_"), ("joint1", "jaw"), ("joint2", "time")):
+        urdf = urdf.replace(f'"{old}"', f'"{new}"')
+    (tmp_path / "arm.urdf").write_text(urdf, encoding="utf-8")
+    text = (DATA / "workcells" / "nova2-w.toml").read_text("utf-8").replace('"nova2"', '"arm.urdf"')
+    (tmp_path / "cell.toml").write_text(text, encoding="utf-8")
+    problem = replace(motion.plan.problem, workcell=load_workcell(tmp_path / "cell.toml"))
+    save_mjcf(replace(motion, plan=replace(motion.plan, problem=problem)), tmp_path / "model")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "model" / "model.xml"))
+    told = [model.actuator(number).name for number in range(model.nu)]
+    assert told == ["jaw_", "time_", *problem.workcell.robot.joint_names[2:], "jaw"]
+    assert list(rows(tmp_path / "model")[0]) == ["time", "transition", "phase", *told]

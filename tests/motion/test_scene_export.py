@@ -11,7 +11,10 @@ import trimesh
 from oracles.files import DATA
 
 from regrasp_opt import RegraspProblem, solve_sequence
-from regrasp_opt.motion.trajectory.scene_export import save_scene
+from regrasp_opt.conventions import translation
+from regrasp_opt.geometry.shapes import Box, Mesh
+from regrasp_opt.motion.trajectory import scene_export
+from regrasp_opt.motion.trajectory.scene_export import save_scene, xml_names
 from regrasp_opt.scene import load_workcell
 
 OBSTACLES = """
@@ -106,3 +109,49 @@ def test_a_suction_tool_has_no_fingers(tmp_path):
     assert gripper.njoints == 1 and set(bodies(tmp_path / "gripper.urdf")) == {"gripper"}
     scene = json.loads((tmp_path / "scene.json").read_text("utf-8"))
     assert {held["grasp_id"] for held in scene["object_in_hand"]} == set(plan.transitions[0].grasp_ids.tolist())
+
+
+def test_every_body_has_a_name_of_its_own_that_urdf_can_hold(bottle_plan, tmp_path):
+    names = ["world", "a\x0bb", "a_b", "table_", "<&\"'>"]
+    boxes = [Box(name, np.full(3, 0.05), translation(0.6, -0.2 - 0.1 * k, 0.1)) for k, name in enumerate(names)]
+    problem = bottle_plan.problem.with_obstacles(boxes)
+    save_scene(replace(bottle_plan, problem=problem), tmp_path)
+    found = bodies(tmp_path / "surroundings.urdf")
+    given = dict(zip(["world_", "a_b", "a_b_", "table_", "<&\"'>"], boxes, strict=True))
+    assert set(found) == {"table", *given}
+    for name, box in given.items():
+        np.testing.assert_allclose(found[name].placement.homogeneous, box.pose, atol=1e-9)
+    assert xml_names(["a", "a", "a_"], ["a_"]) == ["a", "a__", "a___"]
+
+
+def test_meshes_of_a_gripper_stay_in_the_folder_whatever_they_are_called(bottle_plan, tmp_path):
+    box = trimesh.creation.box((0.02, 0.02, 0.02))
+    body = [
+        Mesh(name, np.array(box.vertices), np.array(box.faces), np.eye(4)) for name in ("../escaped", "object", "/")
+    ]
+    cell = bottle_plan.problem.workcell
+    arm = replace(cell.arm, end_effector=replace(cell.arm.end_effector, body=tuple(body)))
+    problem = replace(bottle_plan.problem, workcell=replace(cell, arm=arm))
+    save_scene(replace(bottle_plan, problem=problem), tmp_path / "s")
+    assert [path.name for path in tmp_path.iterdir()] == ["s"]
+    root = ET.parse(tmp_path / "s" / "gripper.urdf").getroot()
+    meshes = [mesh.get("filename") for mesh in root.iterfind("link/visual//mesh")]
+    assert len(set(meshes)) == 3
+    for name in meshes:
+        np.testing.assert_allclose(trimesh.load(name).extents, box.extents, atol=1e-6)
+    loose = trimesh.load(tmp_path / "s" / "object.stl")
+    np.testing.assert_allclose(loose.extents, np.ptp(bottle_plan.problem.object.vertices, axis=0), atol=1e-6)
+
+
+def test_an_interrupted_export_leaves_the_old_one(bottle_plan, tmp_path, monkeypatch):
+    save_scene(bottle_plan, tmp_path)
+    old = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(scene_export, "_write_mesh", interrupt)
+    problem = bottle_plan.problem.with_obstacles([Box("crate", np.full(3, 0.1), translation(0.6, -0.4, 0.1))])
+    with pytest.raises(KeyboardInterrupt):
+        save_scene(replace(bottle_plan, problem=problem), tmp_path)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == old

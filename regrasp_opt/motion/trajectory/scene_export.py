@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import logging
 import os
+import re
 import xml.etree.ElementTree as ET
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +15,8 @@ import numpy as np
 import trimesh
 
 from regrasp_opt.conventions import FloatArray, invert, rpy_angles
-from regrasp_opt.files import atomic_path
-from regrasp_opt.geometry.shapes import Box, Cylinder, Shape
+from regrasp_opt.files import atomic_path, exchanged_files
+from regrasp_opt.geometry.shapes import Box, Cylinder, Mesh, Shape
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.planning import RegraspPlan
 from regrasp_opt.robots import Robot
@@ -27,25 +29,41 @@ SCHEMA = 1
 DENSITY = 500.0
 """Density of an object of unknown mass in its URDF [kg/m^3]: a stand-in, since nothing else here depends on masses."""
 
+FORBIDDEN = re.compile("[^\\x20-\\ud7ff\\ue000-\\ufffd\\U00010000-\\U0010ffff]")
+"""What no name in an XML file can hold."""
+
+
+def xml_names(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
+    """Return `names` as XML can hold them, each unlike the others and those `taken`: underscores do both."""
+    found, used = list[str](), set(taken)
+    for name in names:
+        name = FORBIDDEN.sub("_", name)
+        while name in used:
+            name += "_"
+        used.add(name)
+        found.append(name)
+    return found
+
 
 def save_scene(plan: RegraspPlan, folder: str | os.PathLike[str]) -> None:
-    """Write the scene of `plan` into `folder`.
+    """Write the scene of `plan` into `folder`, all files or none.
 
     All names of meshes are absolute. ``robot.urdf`` is the robot's own file; ``gripper.urdf`` has a prismatic joint for
     each finger, whose position is half the opening; ``surroundings.urdf`` holds table and obstacles in the world frame;
     ``object.urdf`` and ``object.stl`` are the object. ``scene.json`` says how they are put together and where the
     object stands.
     """
-    folder = Path(folder).resolve()
+    folder, meshes = Path(folder).resolve(), dict[Path, Mesh]()
     problem = plan.problem
     cell, robot = problem.workcell, problem.workcell.arm.robot
-    _write_xml(_robot(robot), folder / "robot.urdf")
-    _write_xml(_gripper(plan, folder), folder / "gripper.urdf")
-    supports = [shape for support in cell.supports for shape in support.shapes]
-    fixed = [(shape.name, shape) for shape in (*supports, *cell.obstacles)]
-    _write_xml(_surroundings(fixed, folder), folder / "surroundings.urdf")
-    _write_mesh(problem.object.vertices, problem.object.faces, folder / "object.stl")
-    _write_xml(_object(problem.object, folder), folder / "object.urdf")
+    fixed = [*(shape for support in cell.supports for shape in support.shapes), *cell.obstacles]
+    files = {
+        "robot.urdf": _robot(robot),
+        "gripper.urdf": _gripper(plan, folder, meshes),
+        "surroundings.urdf": _surroundings(fixed, folder, meshes),
+        "object.urdf": _object(problem.object, folder),
+    }
+    meshes[folder / "object.stl"] = Mesh("object", problem.object.vertices, problem.object.faces, np.eye(4))
     content = {
         "schema": SCHEMA,
         "joint_names": list(robot.joint_names),
@@ -60,8 +78,13 @@ def save_scene(plan: RegraspPlan, folder: str | os.PathLike[str]) -> None:
             for g in sorted({int(g) for t in plan.transitions for g in t.grasp_ids})
         ],
     }
-    with atomic_path(folder / "scene.json") as temporary:
-        temporary.write_text(json.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
+    with exchanged_files(folder, "scene.json") as fresh:
+        for name, root in files.items():
+            _write_xml(root, fresh / name)
+        for path, mesh in meshes.items():
+            _write_mesh(mesh, fresh / path.name)
+        with atomic_path(fresh / "scene.json") as temporary:
+            temporary.write_text(json.dumps(content, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def _robot(robot: Robot) -> ET.Element:
@@ -70,7 +93,7 @@ def _robot(robot: Robot) -> ET.Element:
     for parent in list(root.iter()):
         for child in [child for child in parent if ":" in child.tag]:
             parent.remove(child)
-    root.attrib.setdefault("name", robot.name)
+    root.attrib.setdefault("name", *xml_names([robot.name]))
     for link in root.iterfind("link"):
         for visual in link.findall("visual"):
             lost = [m.get("filename", "") for m in visual.iter("mesh") if not os.path.isfile(m.get("filename", ""))]
@@ -80,18 +103,18 @@ def _robot(robot: Robot) -> ET.Element:
     return root
 
 
-def _gripper(plan: RegraspPlan, folder: Path) -> ET.Element:
+def _gripper(plan: RegraspPlan, folder: Path, meshes: dict[Path, Mesh]) -> ET.Element:
     effector = plan.problem.workcell.arm.end_effector
-    root = ET.Element("robot", name=effector.name)
+    root = ET.Element("robot", name=xml_names([effector.name])[0])
     palm = ET.SubElement(root, "link", name="gripper")
-    for shape in effector.body:
-        _add_shape(palm, shape, folder)
+    for number, shape in enumerate(effector.body):
+        _add_shape(palm, shape, folder / f"gripper-{number}.stl", meshes)
     for side, sign in (("left", 1.0), ("right", -1.0)) if effector.finger else ():
         link = ET.SubElement(root, "link", name=f"{side}_finger")
         shapes = effector.finger_boxes(0.0)
         half = len(shapes) // 2
-        for shape in shapes[:half] if sign > 0 else shapes[half:]:
-            _add_shape(link, shape, folder)
+        for number, shape in enumerate(shapes[:half] if sign > 0 else shapes[half:]):
+            _add_shape(link, shape, folder / f"{side}_finger-{number}.stl", meshes)
         joint = ET.SubElement(root, "joint", name=f"{side}_finger_joint", type="prismatic")
         ET.SubElement(joint, "parent", link="gripper")
         ET.SubElement(joint, "child", link=f"{side}_finger")
@@ -101,12 +124,13 @@ def _gripper(plan: RegraspPlan, folder: Path) -> ET.Element:
     return root
 
 
-def _surroundings(shapes: list[tuple[str, Shape]], folder: Path) -> ET.Element:
+def _surroundings(shapes: list[Shape], folder: Path, meshes: dict[Path, Mesh]) -> ET.Element:
     root = ET.Element("robot", name="surroundings")
     ET.SubElement(root, "link", name="world")
-    for number, (name, shape) in enumerate(shapes):
+    names = xml_names((shape.name for shape in shapes), ["world"])
+    for number, (name, shape) in enumerate(zip(names, shapes, strict=True)):
         link = ET.SubElement(root, "link", name=name)
-        _add_shape(link, shape, folder, f"surrounding-{number}.stl")
+        _add_shape(link, shape, folder / f"surrounding-{number}.stl", meshes)
         joint = ET.SubElement(root, "joint", name=f"world_to_{name}", type="fixed")
         ET.SubElement(joint, "parent", link="world")
         ET.SubElement(joint, "child", link=name)
@@ -134,7 +158,8 @@ def _object(model: ObjectModel, folder: Path) -> ET.Element:
     return root
 
 
-def _add_shape(link: ET.Element, shape: Shape, folder: Path, mesh_name: str = "") -> None:
+def _add_shape(link: ET.Element, shape: Shape, path: Path, meshes: dict[Path, Mesh]) -> None:
+    """Add `shape` to `link`; if it is a mesh, its file is to be `path`, and it goes to `meshes`."""
     for tag in ("visual", "collision"):
         part = ET.SubElement(link, tag)
         ET.SubElement(part, "origin", xyz=_numbers(shape.pose[:3, 3]), rpy=_numbers(rpy_angles(shape.pose[:3, :3])))
@@ -144,18 +169,17 @@ def _add_shape(link: ET.Element, shape: Shape, folder: Path, mesh_name: str = ""
         elif isinstance(shape, Cylinder):
             ET.SubElement(geometry, "cylinder", radius=f"{shape.radius:.9g}", length=f"{shape.length:.9g}")
         else:
-            name = mesh_name or f"{shape.name}.stl"
-            _write_mesh(shape.vertices, shape.faces, folder / name)
-            ET.SubElement(geometry, "mesh", filename=str(folder / name))
+            meshes[path] = shape
+            ET.SubElement(geometry, "mesh", filename=str(path))
 
 
 def _numbers(values: Any) -> str:
     return " ".join(f"{value:.12g}" for value in values)
 
 
-def _write_mesh(vertices: FloatArray, faces: Any, path: Path) -> None:
+def _write_mesh(mesh: Mesh, path: Path) -> None:
     with atomic_path(path) as temporary:
-        trimesh.Trimesh(vertices, faces, process=False).export(temporary)
+        trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(temporary)
 
 
 def _write_xml(root: ET.Element, path: Path) -> None:
