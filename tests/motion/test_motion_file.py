@@ -45,6 +45,11 @@ def broken(content, change):
     return content
 
 
+def shift(rows, by):
+    for row in rows:
+        row[0] += by
+
+
 FAULTS = {
     "schema": lambda c: c.update(schema=3),
     "not a motion": lambda c: c.update(kind="plan"),
@@ -64,6 +69,12 @@ FAULTS = {
     "squeeze.below_contact": lambda c: c["squeeze"].update(below_contact=-0.01),
     "jaw events are not those of its segments": lambda c: c["jaw_events"][1].update(time=0.1),
     "there are no jaw events": lambda c: c.pop("jaw_events"),
+    "in steps of 2 ns": lambda c: c["segments"][1]["times"].__setitem__(1, 1e-10),
+    "segment 0 (reach) goes beyond the joint limits": lambda c: c["segments"][0]["positions"][9].__setitem__(0, 50.0),
+    "segment 0 (reach) is faster than its limits": lambda c: c["segments"][0]["positions"][9].__setitem__(0, 0.3),
+    "segment 3 (lift) does not begin where": lambda c: shift(c["segments"][3]["positions"], 1e-3),
+    "segment 4 (transfer) does not begin where": lambda c: shift(c["segments"][4]["velocities"][:1], 0.01),
+    "segment 2 (grasp) does not begin where": lambda c: c["segments"][2]["jaw"].__setitem__(0, 0.05),
     "plan schema": lambda c: c["plan"].update(schema=7),
 }
 
@@ -87,6 +98,10 @@ def test_a_file_of_schema_1_is_read(motion, path, tmp_path):
     assert np.array_equal(old.segments[0].trajectory.positions, motion.segments[0].trajectory.positions)
     assert all(event.command == event.width_to and event.force is None for event in old.jaw_events)
     assert verify_motion(tmp_path / "old.json") == []
+    content["segments"][3]["positions"][0][0] += 1e-3
+    (tmp_path / "old.json").write_text(json.dumps(content), "utf-8")
+    with pytest.raises(PlanFileError, match=r"segment 3 \(lift\)"):
+        MotionPlan.load(tmp_path / "old.json")
 
 
 def test_no_file_and_no_json_are_refused(tmp_path):

@@ -22,6 +22,9 @@ LONGEST, FASTEST, WIDEST = 1e5, 1e4, 2.0
 Larger numbers are damage, and would overflow in what is made of them.
 """
 
+LEAST_STEP = 2e-9
+"""Least time between two knots [s]: in whole nanoseconds, as ROS has them, both may be rounded towards each other."""
+
 
 def _member_of(kind: type[Enum]) -> BeforeValidator:
     """Return what makes a member of `kind` of its name in small letters."""
@@ -53,8 +56,8 @@ class SegmentSection(Section):
 
     @model_validator(mode="after")
     def _fits_its_times(self) -> SegmentSection:
-        if self.times[0] != 0 or (np.diff(self.times) <= 0).any():
-            raise ValueError("the times of a segment do not ascend from 0; plan the motion again")
+        if self.times[0] != 0 or (np.diff(self.times) < LEAST_STEP).any():
+            raise ValueError("the times of a segment do not ascend from 0 in steps of 2 ns; plan the motion again")
         if not len(self.positions) == len(self.velocities) == len(self.times):
             raise ValueError("the rows of a segment do not fit its times; plan the motion again")
         return self

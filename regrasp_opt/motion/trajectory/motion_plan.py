@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,9 +23,16 @@ from regrasp_opt.motion.trajectory.trajectory import Trajectory
 from regrasp_opt.notebook import PageInNotebook
 from regrasp_opt.planning import RegraspPlan
 from regrasp_opt.planning.plan_file import plan_content, plan_from_content
+from regrasp_opt.robots import Robot
 
 MOST_ROWS = 10**6
 """Rows of a CSV at most; these are some 150 MB."""
+
+JUMP = 1e-6
+"""Largest jump between segments that counts as none [rad, rad/s; prismatic joints and the jaw: m, m/s]."""
+
+ROUNDING = 1e-6
+"""By which share a speed may be above its limit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +102,8 @@ class MotionPlan(PageInNotebook):
         Raises
         ------
         PlanFileError
-            If the file is missing, malformed, or its object or workcell has changed since.
+            If the file is missing, malformed, or its object or workcell has changed since, or a segment leaves the
+            joint limits, is too fast, or does not begin where and as the one before it ends.
         """
         path = Path(path)
         content = read_motion(path)
@@ -110,6 +119,7 @@ class MotionPlan(PageInNotebook):
                 raise PlanFileError(f"'{path}': a segment names an unknown transition or grasp; plan the motion again")
             trajectory = Trajectory(np.array(s.times), np.array(s.positions), np.array(s.velocities))
             segments.append(Segment(s.phase, s.transition, s.grasp_id, trajectory, s.jaw))
+        _check_segments(segments, robot, np.array(content.velocity_limits), path)
         motion = MotionPlan(
             content.status,
             content.reason,
@@ -170,6 +180,29 @@ class MotionPlan(PageInNotebook):
     def save_scene(self, folder: str | os.PathLike[str]) -> None:
         """Write robot, gripper, table, obstacles and object as URDF, and where they stand, into `folder`."""
         save_scene(self.plan, folder)
+
+
+def _check_segments(segments: Sequence[Segment], robot: Robot, limits: FloatArray, path: Path) -> None:
+    """Raise a `PlanFileError` if `segments` cannot be a motion of `robot` within its velocity `limits` (dof,)."""
+    before: Segment | None = None
+    for number, segment in enumerate(segments):
+        trajectory, wrong = segment.trajectory, ""
+        if not all(robot.within_limits(q) for q in trajectory.position_range()):
+            wrong = "goes beyond the joint limits"
+        elif (trajectory.peak_velocity() > limits * (1 + ROUNDING)).any():
+            wrong = "is faster than its limits"
+        elif before is not None and np.abs(_state(before, -1) - _state(segment, 0)).max() > JUMP:
+            wrong = "does not begin where, and as fast as, the one before it ends"
+        if wrong:
+            phase = segment.phase.name.lower()
+            raise PlanFileError(f"'{path}': segment {number} ({phase}) {wrong}; plan the motion again")
+        before = segment
+
+
+def _state(segment: Segment, end: int) -> FloatArray:
+    """Return positions, velocities and jaw at the beginning of a segment, 0, or its end, -1."""
+    trajectory = segment.trajectory
+    return np.concatenate([trajectory.positions[end], trajectory.velocities[end], [segment.jaw[end]]])
 
 
 def _told(event: JawEvent) -> tuple[str, str, int]:
