@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -26,6 +27,36 @@ class Section(BaseModel):
 
 
 File = TypeVar("File", bound=Section)
+
+
+class _Twice(Exception):
+    """A key that a table of a file has twice."""
+
+
+def _table(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    """Return `pairs` as a table.
+
+    Raises
+    ------
+    _Twice
+        If two have the same key, of which one would be lost.
+    """
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        keys = [key for key, _ in pairs]
+        raise _Twice(next(key for key in keys if keys.count(key) > 1))
+    return table
+
+
+class _YamlLoader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """Reads plain data, and refuses tables that have a key twice."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        keys = [(key.value, key) for key, _ in node.value if isinstance(key, yaml.ScalarNode) and key.value != "<<"]
+        _table(keys)
+        table: dict[Any, Any] = super().construct_mapping(node, deep)
+        return table
+
 
 LONGEST_VALUE = 100
 """Characters of a wrong value that a message shows; longer ones are left out."""
@@ -57,10 +88,12 @@ def read_json(path: Path, what: str, error_type: type[RegraspError] = PlanFileEr
     Raises
     ------
     PlanFileError
-        Or another `error_type`: if it cannot be read or is not JSON.
+        Or another `error_type`: if it cannot be read, is not JSON, or has a key twice.
     """
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_table)
+    except _Twice as error:
+        raise error_type(f"'{path}' has the key '{error}' twice in one place; keep the one that counts") from error
     except OSError as error:
         raise error_type(f"cannot read the {what} '{path}': {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:
@@ -73,12 +106,13 @@ def read_yaml(path: Path, error_type: type[RegraspError]) -> list[Any]:
     Raises
     ------
     RegraspError
-        As an `error_type`: if it cannot be read or is not YAML.
+        As an `error_type`: if it cannot be read, is not YAML, or has a key twice.
     """
     try:
-        loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-        documents = yaml.load_all(path.read_text(encoding="utf-8"), loader)
+        documents = yaml.load_all(path.read_text(encoding="utf-8"), _YamlLoader)
         return [document for document in documents if document is not None]
+    except _Twice as error:
+        raise error_type(f"'{path}' has the key '{error}' twice in one place; keep the one that counts") from error
     except OSError as error:
         raise error_type(f"cannot read '{path}': {error.strerror or error}") from error
     except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:

@@ -77,6 +77,9 @@ def _from_csv(path: Path) -> FileGrasps:
             f"{where}: column '{wrong[0]}' is {'unknown' if wrong[0] in header else 'missing'}; the first line names "
             f"the columns: {', '.join(COLUMNS)}"
         )
+    twice = next((name for k, name in enumerate(header) if name in header[:k]), None)
+    if twice is not None:
+        raise GraspError(f"{where}: column '{twice}' is there twice; keep the one that counts")
     numbers = np.zeros((len(rows), len(POSE_COLUMNS)))
     for number, row in enumerate(rows):
         if None in row or None in row.values():

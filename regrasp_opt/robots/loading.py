@@ -225,7 +225,7 @@ def _source(
             if link not in links:
                 known = ", ".join(urdf.closest(link, links))
                 raise WorkcellError(f"{path}: no link '{link}' to ignore collisions of; known: {known}")
-    said = Semantics(frozenset(), {}) if srdf is None else read_srdf(srdf, links)
+    said = Semantics(frozenset(), {}, {}) if srdf is None else read_srdf(srdf, links, joints)
     try:
         xml = ET.tostring(root)
     except RecursionError as error:
@@ -253,6 +253,11 @@ def _rest(
     if name not in said.states:
         known = f"known: {', '.join(urdf.closest(name, said.states))}" if said.states else "give an SRDF that has it"
         raise WorkcellError(f"{path}: no state '{name}' to be at home in; {known}")
+    if name in said.disputed:
+        raise WorkcellError(
+            f"{path}: several groups have a state '{name}', and put {said.disputed[name]} in different places; give "
+            "home as numbers"
+        )
     missing = [joint for joint in joints if joint not in said.states[name]]
     if missing:
         raise WorkcellError(f"{path}: state '{name}' does not say where {', '.join(missing)} is; give home as numbers")

@@ -13,21 +13,26 @@ from regrasp_opt.robots import urdf
 
 
 class Semantics(NamedTuple):
-    """Pairs of links, each a frozenset, and for each named state the values of its joints [rad, m]."""
+    """Pairs of links, each a frozenset; for each named state the values of its joints [rad, m].
+
+    `disputed` has the joints that several groups' states of one name put in different places, by the name of the state.
+    """
 
     ignored: frozenset[frozenset[str]]
     states: dict[str, dict[str, float]]
+    disputed: dict[str, str]
 
 
-def read_srdf(path: Path, links: Collection[str]) -> Semantics:
-    """Return what the SRDF file at `path` says of a robot with these `links`; what it says of others is passed over.
+def read_srdf(path: Path, links: Collection[str], joints: Collection[str]) -> Semantics:
+    """Return what the SRDF file at `path` says of an arm of `joints` in a robot of `links`.
 
-    States of one name for several groups are one state.
+    What it says of others is passed over. States of one name for several groups are one state, unless one of them says
+    where the whole arm is: then that one counts.
 
     Raises
     ------
     WorkcellError
-        If the file cannot be read, is not an SRDF, or a state has a value that is not a number.
+        If the file cannot be read, is not an SRDF, or a state has a value for one of `joints` that is not a number.
     """
     try:
         root = urdf.parse_xml(path.read_bytes())
@@ -41,18 +46,27 @@ def read_srdf(path: Path, links: Collection[str]) -> Semantics:
     pairs = {frozenset(pair) for pair in combinations(links, 2) if alone.intersection(pair)}
     pairs -= _pairs(root, "enable_collisions")
     pairs |= {pair for pair in _pairs(root, "disable_collisions") if len(pair) == 2 and pair.issubset(links)}
-    states: dict[str, dict[str, float]] = {}
+    found: dict[str, list[dict[str, float]]] = {}
     for state in root.iterfind("group_state"):
-        name = state.get("name", "")
+        name, values = state.get("name", ""), dict[str, float]()
         for joint in state.iterfind("joint"):
-            values = urdf.numbers(joint.get("value", ""), 1)
-            if not values:
-                raise WorkcellError(
-                    f"{path}: state '{name}' has value=\"{joint.get('value')}\" for joint '{joint.get('name')}'; give "
-                    "one number"
-                )
-            states.setdefault(name, {})[joint.get("name", "")] = values[0]
-    return Semantics(frozenset(pairs), states)
+            if joint.get("name") in joints:
+                value = urdf.numbers(joint.get("value", ""), 1)
+                if not value:
+                    raise WorkcellError(
+                        f"{path}: state '{name}' has value=\"{joint.get('value')}\" for joint '{joint.get('name')}'; "
+                        "give one number"
+                    )
+                values[joint.get("name", "")] = value[0]
+        found.setdefault(name, []).append(values)
+    states, disputed = dict[str, dict[str, float]](), dict[str, str]()
+    for name, parts in found.items():
+        states[name] = {}
+        for values in [part for part in parts if len(part) == len(joints)] or parts:
+            for joint, number in values.items():
+                if states[name].setdefault(joint, number) != number:
+                    disputed[name] = joint
+    return Semantics(frozenset(pairs), states, disputed)
 
 
 def _pairs(root: ET.Element, tag: str) -> set[frozenset[str]]:

@@ -239,6 +239,13 @@ def test_messages_as_ros_prints_them(tmp_path: Path, caplog: pytest.LogCaptureFi
     assert isinstance(crate, Box) and crate.size.tolist() == [0.1, 0.2, 0.3]
 
 
+def test_yaml_may_refer_to_what_it_said_before(tmp_path: Path) -> None:
+    first = yaml.safe_dump(collision_object(BODIES[0]), default_flow_style=True, width=10**6).strip()
+    text = f"- &first {first}\n- {{<<: *first, id: second}}\n- {{<<: *first, id: third}}\n"
+    found = read_obstacles(saved(tmp_path / "merged.yaml", text))
+    assert [shape.name for shape in found] == ["crate one", "second", "third"]
+
+
 def test_poses_may_be_in_the_frame_of_the_robots_root_link(tmp_path: Path) -> None:
     cell = load_workcell("nova2-w")
     root = str(cell.robot.model.frames[1].name)
@@ -310,6 +317,7 @@ BROKEN = {
     "poses.yaml": (_changed(primitive_poses=2 * [scene_texts.message_pose(np.eye(4))]), "has 1 primitives and 2 poses"),
     "short.yaml": (_changed(primitives=[{"type": 1, "dimensions": [1, 1, "..."]}]), "use --full-length"),
     "pose.yaml": (_changed(pose=[0, 0, 0]), "object 'crate one' is not a CollisionObject"),
+    "twice.yaml": ("{id: c, header: {}, pose: {}, pose: {}}", "has the key 'pose' twice in one place; keep the one"),
     "key.yaml": (_changed(primitive_pose=[]), "object 'crate one' has the unknown key 'primitive_pose'"),
     "axis.yaml": (_changed(pose={"position": {"x": 1, "w": 2}}), "has the unknown key 'w'"),
     "diff.yaml": ({**planning_scene(_changed()), "is_diff": True}, "give a whole scene, not a difference"),

@@ -323,6 +323,23 @@ def test_files_that_are_not_srdf_are_refused(write, tmp_path):
     assert "state 'x' has value=\"up\" for joint 'j1'; give one number" in refusal(path, srdf=write(text, "b.srdf"))
 
 
+def test_states_of_other_groups_do_not_matter_to_the_arm(write):
+    path = write(THREE)
+    whole = '<group_state name="up" group="arm">{}</group_state>'.format(
+        "".join(f'<joint name="j{k}" value="0.{k}"/>' for k in (1, 2, 3))
+    )
+    other = '<group_state name="up" group="both"><joint name="j1" value="0.9"/></group_state>'
+    odom = '<group_state name="up" group="base"><joint name="odom" value="0 0 0"/></group_state>'
+    for more in (whole + other + odom, odom + other + whole):
+        srdf = write(SRDF.format(more=more), "arm.srdf")
+        assert load_robot(path, srdf=srdf, home="up").home.tolist() == [0.1, 0.2, 0.3]
+    for more in (whole + whole.replace("0.2", "0.5"), other.replace("0.9", "0.2") + other.replace("both", "right")):
+        srdf = write(SRDF.format(more=more), "arm.srdf")
+        assert load_robot(path, srdf=srdf, home="ready").home.tolist() == [0.1, -0.2, 0.3]
+        said = refusal(path, srdf=srdf, home="up")
+        assert "several groups have a state 'up', and put j" in said and "give home as numbers" in said
+
+
 CELL = """schema = 1
 [robot]
 model = "arm.urdf"
