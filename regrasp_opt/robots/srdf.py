@@ -63,9 +63,9 @@ def read_srdf(path: Path, links: Collection[str], joints: Collection[str]) -> Se
     for name, parts in found.items():
         states[name] = {}
         for values in [part for part in parts if len(part) == len(joints)] or parts:
-            for joint, number in values.items():
-                if states[name].setdefault(joint, number) != number:
-                    disputed[name] = joint
+            for mover, number in values.items():
+                if states[name].setdefault(mover, number) != number:
+                    disputed[name] = mover
     return Semantics(frozenset(pairs), states, disputed)
 
 
