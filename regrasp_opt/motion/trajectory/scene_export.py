@@ -48,10 +48,10 @@ def xml_names(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
 def save_scene(plan: RegraspPlan, folder: str | os.PathLike[str]) -> None:
     """Write the scene of `plan` into `folder`, all files or none.
 
-    All names of meshes are absolute. ``robot.urdf`` is the robot's own file; ``gripper.urdf`` has a prismatic joint for
-    each finger, whose position is half the opening; ``surroundings.urdf`` holds table and obstacles in the world frame;
-    ``object.urdf`` and ``object.stl`` are the object. ``scene.json`` says how they are put together and where the
-    object stands.
+    All names of meshes are absolute. ``robot.urdf`` is the robot as the workcell has it; ``gripper.urdf`` has a
+    prismatic joint for each finger, whose position is half the opening; ``surroundings.urdf`` holds table and obstacles
+    in the world frame; ``object.urdf`` and ``object.stl`` are the object. ``scene.json`` says how they are put together
+    and where the object stands.
     """
     folder, meshes = Path(folder).resolve(), dict[Path, Mesh]()
     problem = plan.problem
