@@ -18,6 +18,7 @@ from regrasp_opt.conventions import BoolArray, FloatArray, IntArray
 from regrasp_opt.feasibility.checker import FeasibilityChecker
 from regrasp_opt.robots import Robot
 
+_NEARLY_ALL = 0.95
 TOLD_POSES, TOLD_GRASPS = 40, 25
 """Poses, and grasps at each, that say why none is feasible anywhere."""
 
@@ -183,7 +184,7 @@ def tally(failures: Iterable[Reason | None]) -> Counter[Reason]:
 def summary(failures: Iterable[Reason | None], shown: int = 6) -> str:
     """Return the counts of `failures`, the `shown` most frequent first, and what helps against the most frequent cause.
 
-    Where there are other causes, the gripper in the table is not asked: these grasps fail wherever the object is moved.
+    The gripper in the table is not asked unless nearly all fail so: these grasps fail wherever the object is moved.
     """
     ordered = tally(failures).most_common()
     texts = [f"{count} {failure}" for failure, count in ordered[:shown]]
@@ -191,7 +192,9 @@ def summary(failures: Iterable[Reason | None], shown: int = 6) -> str:
     texts += [f"{rest} otherwise"] if rest else []
     causes: Counter[Cause] = Counter()
     for failure, count in ordered:
-        causes[failure.cause] += count if failure.cause is not Cause.GRIPPER_IN_TABLE else 0
+        causes[failure.cause] += count
+    if causes[Cause.GRIPPER_IN_TABLE] < _NEARLY_ALL * causes.total():
+        del causes[Cause.GRIPPER_IN_TABLE]
     return f"{', '.join(texts)}; {causes.most_common(1)[0][0].advice}" if texts else "all are feasible"
 
 

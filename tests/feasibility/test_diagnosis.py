@@ -106,6 +106,8 @@ def test_the_summary_counts_and_advises():
     assert summary([table, None]) == f"1 gripper in table; {Cause.GRIPPER_IN_TABLE.advice}"
     posts = [Reason(Cause.ARM_IN_OBSTACLE, (f"obstacle 'post{k}'",)) for k in range(9)]
     assert summary([*posts, table]).endswith(f"4 otherwise; {Cause.ARM_IN_OBSTACLE.advice}")
+    assert summary([*[table] * 98, reach, reach]).endswith(Cause.GRIPPER_IN_TABLE.advice)
+    assert summary([*[table] * 9, reach]).endswith(Cause.OUT_OF_REACH.advice)
     assert summary([None]) == "all are feasible"
     assert all(cause.advice for cause in Cause)
 

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 ORDER = (
+    "any",
     "refiners",
     "multi-step",
     "hard-tiers",
@@ -48,7 +49,24 @@ POSES = {
     "Langevin J": "our energy with the paper's optimiser {} %",
     "paper's preset J": "the paper's method trained here {} %",
 }
+TIMES = {"planned": "{} planned", "median [s]": "half within {} s", "p95 [s]": "95 % within {} s"}
+FOUND = {"pairs": "{} pairs", "solved [%]": "{} % solved", "N no larger [%]": "{} % with no more regrasps"}
 HEADLINES = (
+    *(
+        Headline("any", says, "Time to a verified plan", TIMES, ("what", row))
+        for row, says in (
+            ("mesh file to plan, warm process", "From a mesh file to a verified plan, nothing prepared"),
+            ("mesh file to plan, whole process", "The same as a process of its own, with an empty data folder"),
+            ("obstacles put in to plan", "From obstacles that were moved to a verified plan"),
+        )
+    ),
+    *(
+        Headline("any", says, "Success by planner", FOUND, ("planner", planner))
+        for planner, says in (
+            ("arm energy", "Pairs of built-in objects, of these meshes, and between obstacles, by an exact search"),
+            ("constant energy", "The same with an energy that knows nothing, as a control"),
+        )
+    ),
     Headline(
         "refiners",
         "Plans of the default planner, for pairs that the exact search solves",
