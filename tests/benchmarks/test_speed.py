@@ -1,6 +1,7 @@
 """`bench speed` at a size of seconds: what was measured stands in its rows and, rounded, in its tables."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from regrasp_opt.benchmarks.harness.session import Session
 from regrasp_opt.connectivity import CostOptions
 from regrasp_opt.connectivity.casadi_costs import plain_sequence_cost
 from regrasp_opt.energy.casadi_energy import CasadiEnergy
+from regrasp_opt.objects.builtin import build
 
 TINY_SIZES = {"N": (1, 2), "G": (10, 20), "H": (8, 16)}
 
@@ -60,13 +62,19 @@ def test_every_part_is_measured_and_the_tables_repeat_it(tiny, tmp_path):
     assert told == {
         "regrasp-opt --help": (1, 0),
         "regrasp-opt plan": (1, 0),
-        "prepare broken.stl": (4, 2),
+        "prepare broken.stl": (6, 2),
         "plan broken.stl": (3, 2),
-        "prepare + plan broken.stl": (7, 2),
+        "prepare + plan broken.stl": (9, 2),
         "this measurement": (None, None),
     }
     summary = write_report(report, tmp_path / "out" / "speed")
     assert summary["command"] == "regrasp-opt bench speed" and summary["rows"] == len(report.rows)
+
+
+def test_a_model_is_prepared_for_a_mesh_and_planned_with(tmp_path):
+    build("pentagon").export(tmp_path / "part.stl")
+    rows = speed.process_rows([tmp_path / "part.stl"], replace(speed.QUICK, runs=0, samples=300))
+    assert [row.get("exit") for row in rows] == [0, 0, 0, None]
 
 
 def test_a_process_is_timed_and_its_exit_code_told(tmp_path):

@@ -24,7 +24,7 @@ from regrasp_opt.benchmarks.harness import tables
 from regrasp_opt.benchmarks.harness.report import Report, Table
 from regrasp_opt.benchmarks.harness.runner import Row, git_revision, progress
 from regrasp_opt.benchmarks.harness.session import Session
-from regrasp_opt.benchmarks.harness.subjects import mesh_files
+from regrasp_opt.benchmarks.harness.subjects import DEFAULT_WORKCELL, mesh_files
 from regrasp_opt.planning import Recipe, RegraspProblem, solve_sequence
 from regrasp_opt.planning.tasks import Task, random_task
 from regrasp_opt.solvers import NlpRefiner
@@ -63,7 +63,6 @@ PARTS = {
     "starts": ("lattice chains", "reading the lattice's likelihoods once"),
     "refine": ("Ipopt, energies included", "three passes of the network over the grasps, for each iteration"),
     "verify": ("verification of candidates (inverse kinematics, collision)", "one feasible branch for each transition"),
-    "transitions": ("all shared grasps, configurations, clearances", "every branch of every shared grasp"),
 }
 """Parts of a plan: what they are, and what bounds their time from below."""
 
@@ -165,7 +164,7 @@ def process_rows(meshes: list[Path], sizes: SpeedSizes) -> list[Row]:
     for mesh in meshes:
         with tempfile.TemporaryDirectory() as home:
             fresh = {"REGRASP_OPT_HOME": home}
-            words = ["prepare", str(mesh), "--samples", str(sizes.samples)]
+            words = ["prepare", DEFAULT_WORKCELL, "--object", str(mesh), "--samples", str(sizes.samples)]
             prepared = process_row(f"prepare {mesh.name}", words, fresh)
             planned = process_row(f"plan {mesh.name}", ["plan", "--object", str(mesh)], fresh)
         both = {"process": f"prepare + plan {mesh.name}", "seconds": prepared["seconds"] + planned["seconds"]}
