@@ -60,7 +60,7 @@ QUICK = SpeedSizes(12, 6, 1, 5, 10_000, 3, 2_000)
 
 PARTS = {
     "ends": ("exact feasibility at start and goal", "one exact check of every grasp at two poses"),
-    "starts": ("lattice chains", "reading the lattice's likelihoods once"),
+    "starts": ("lattice chains, warmed up by a short Langevin run", "reading the lattice's likelihoods once"),
     "refine": ("Ipopt, energies included", "three passes of the network over the grasps, for each iteration"),
     "verify": ("verification of candidates (inverse kinematics, collision)", "one feasible branch for each transition"),
 }
