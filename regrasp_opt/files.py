@@ -97,10 +97,10 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
 
 @contextmanager
 def exchanged_files(folder: Path, last: str) -> Iterator[Path]:
-    """Yield an empty folder in `folder`; on success its files replace those of their names, on any failure none does.
+    """Yield an empty folder in `folder`; on success its files replace those of their names, `last` at the end.
 
-    While they are exchanged, or if that fails, there is no file called `last`, which refers to the others. An OSError
-    names the file that was to be written.
+    Where writing fails or is interrupted, none does. While they are exchanged there is no file called `last`, which
+    refers to the others; if that fails, it is missing. An OSError names the file that was to be written.
     """
     made = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)

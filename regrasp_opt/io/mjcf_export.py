@@ -83,7 +83,7 @@ GROUPS = {
 
 
 def save_mjcf(motion: MotionPlan, folder: str | os.PathLike[str]) -> None:
-    """Write `motion` for MuJoCo into `folder`, all files or none (docs/other-programs.md).
+    """Write `motion` for MuJoCo into `folder`, all files at once (docs/other-programs.md).
 
     Raises
     ------

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from regrasp_opt.conventions import FloatArray, invert, planar_transform, rotation_angle
+from regrasp_opt.conventions import BoolArray, FloatArray, invert, planar_transform, rotation_angle
 from regrasp_opt.errors import OptionError, PoseError
 from regrasp_opt.objects import ObjectModel
 from regrasp_opt.planning.rests import Rests
@@ -26,6 +26,7 @@ from regrasp_opt.planning.rests import Rests
 TOLERANCE = (0.005, math.radians(3.0))
 """How far a measured pose may be from rest: distance [m] and angle [rad]."""
 
+_ROUNDING = 1e-9
 EXACT = 1e-4
 """A pose whose points rest to within this, in the mean [m], is a resting pose."""
 
@@ -66,6 +67,8 @@ class RestingPose:
         How far the object's points move, root mean square [m].
     label : str
         The pose as the command line takes it.
+    inside : bool
+        Whether it is within the workspace of its support.
     runner_up : RestingPose or None
         The nearest one in another placement, or on another support.
     """
@@ -78,6 +81,7 @@ class RestingPose:
     angle: float
     motion: float
     label: str
+    inside: bool = True
     runner_up: RestingPose | None = None
 
     @property
@@ -110,37 +114,48 @@ def nearest_rests(T: FloatArray, body: ObjectModel, rests: Rests) -> list[Restin
     distance = np.linalg.norm(_moved(poses, body.center_of_mass) - _moved(T, body.center_of_mass), axis=1)
     angle = rotation_angle(poses[:, :3, :3].transpose(0, 2, 1) @ T[:3, :3])
     motion = np.sqrt(squares.clip(min=0))
+    inside: BoolArray = np.all((xi >= planar.low - _ROUNDING) & (xi <= planar.high + _ROUNDING), axis=1)
     found = []
     for k in np.argsort(motion, kind="stable").tolist():
         support, number = rests[k]
         off = distance[k].item(), angle[k].item(), motion[k].item()
-        found.append(RestingPose(poses[k], support.name, number, xi[k], *off, rests.text(k, xi[k])))
+        found.append(RestingPose(poses[k], support.name, number, xi[k], *off, rests.text(k, xi[k]), bool(inside[k])))
     return found
 
 
+def within_tolerance(found: list[RestingPose], tolerance: tuple[float, float]) -> list[RestingPose]:
+    """Return those of `found` within `tolerance` ([m], [rad]); if some are in their workspace, only these.
+
+    The plane of a board goes on where another board is.
+    """
+    near = [rest for rest in found if rest.within(tolerance)]
+    return [rest for rest in near if rest.inside] or near
+
+
 def rest_within(found: list[RestingPose], tolerance: tuple[float, float], name: str) -> RestingPose:
-    """Return the first of `found`, which are sorted, with its runner-up.
+    """Return the first of `found`, which are sorted, that is within `tolerance`, with its runner-up.
 
     Raises
     ------
     PoseError
-        If it is beyond `tolerance` ([m], [rad]), or the second is within it too; `name` is that of the measured pose.
+        If none is within `tolerance` ([m], [rad]), or two are; `name` is that of the measured pose.
     """
     if not found:
         raise PoseError(f"the {name} is on nothing: the object has no resting pose in this workcell")
-    first, second = found[0], found[1] if len(found) > 1 else None
+    near = within_tolerance(found, tolerance)
     limit = f"{tolerance[0] * 1e3:g} mm and {math.degrees(tolerance[1]):g} degrees"
-    if not first.within(tolerance):
+    if not near:
         raise PoseError(
-            f"the {name} is not at rest: the nearest resting pose is {first.label}, "
-            f"{first.away} away, and the tolerance is {limit}"
+            f"the {name} is not at rest: the nearest resting pose is {found[0].label}, "
+            f"{found[0].away} away, and the tolerance is {limit}"
         )
-    if second is not None and second.within(tolerance) and first.motion > EXACT:
+    first = near[0]
+    if len(near) > 1 and first.motion > EXACT:
         raise PoseError(
-            f"the {name} is ambiguous: it is {first.away} from {first.label}, and {second.away} "
-            f"from {second.label}, both within {limit}; measure it again or lower the tolerance"
+            f"the {name} is ambiguous: it is {first.away} from {first.label}, and {near[1].away} "
+            f"from {near[1].label}, both within {limit}; measure it again or lower the tolerance"
         )
-    return replace(first, runner_up=second)
+    return replace(first, runner_up=next((rest for rest in found if rest is not first), None))
 
 
 def as_tolerance(tolerance: Any) -> tuple[float, float]:

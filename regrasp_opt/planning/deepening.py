@@ -118,6 +118,8 @@ class Search:
                 new = [index for index, key in enumerate(keys) if key not in tried][:size]
                 chains, keys = chains.take(new), [keys[index] for index in new]
             found = self._first_verified(objective, chains, entry)
+            if "accepted" in entry:
+                entry["accepted"] += len(tried)
             if found is not None or self.clock.over or not len(chains):
                 return found
             tried.update(keys)

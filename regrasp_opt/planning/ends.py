@@ -12,7 +12,7 @@ from regrasp_opt.energy.model import GraspEnergy
 from regrasp_opt.errors import PoseError
 from regrasp_opt.feasibility.standing import nearest_board, rest_problem, support_of
 from regrasp_opt.objects import ObjectModel
-from regrasp_opt.planning.at_rest import EXACT, GivenPose, rest_within
+from regrasp_opt.planning.at_rest import EXACT, GivenPose, rest_within, within_tolerance
 from regrasp_opt.planning.problem_data import ProblemData
 from regrasp_opt.scene import Support, Workcell
 
@@ -56,10 +56,14 @@ def resting_end(
     except PoseError as error:
         T = as_pose(T, f"{name} pose")
         found = problem.nearest_rests(T)
-        if not found or (found[0].motion <= EXACT and isinstance(problem.workcell.support(found[0].support), Support)):
+        near = within_tolerance(found, tolerance)
+        nearest = next(iter(near or found), None)
+        if nearest is None:
             raise
-        if not found[0].within(tolerance):
-            raise PoseError(f"{error}; the nearest resting pose is {found[0].label}, {found[0].away} away") from error
+        if nearest.motion <= EXACT and isinstance(problem.workcell.support(nearest.support), Support):
+            raise
+        if not near:
+            raise PoseError(f"{error}; the nearest resting pose is {nearest.label}, {nearest.away} away") from error
     return checked_end(rest_within(found, tolerance, f"{name} pose").T, name, problem), GivenPose(T)
 
 

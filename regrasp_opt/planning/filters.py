@@ -112,10 +112,10 @@ def filtered(
 
 
 def _numbers(placements: Any) -> set[int]:
-    given = np.atleast_1d(np.asarray(list(placements) if isinstance(placements, Iterable) else [placements]))
-    if given.ndim != 1 or (given.size and given.dtype.kind not in "iu"):
+    given = list(placements) if isinstance(placements, Iterable) else [placements]
+    if not all(isinstance(each, (int, np.integer)) and not isinstance(each, bool) for each in given):
         raise OptionError(f"placements is {placements!r}; give whole numbers, such as [0, 2]")
-    return set(given.tolist())
+    return set(map(int, given))
 
 
 def _mask(grasps: Any, count: int) -> BoolArray:

@@ -82,8 +82,8 @@ class Rests(Sequence[Rest]):
         """Return the rests of `body` on the supports of `cell`.
 
         On a tilted board those placements remain that are stable at every yaw: the centre of mass moves downhill by the
-        tangent of the tilt, in units of its height, as margins are. It must also stay above the points that touch: a
-        slightly round face, whose margin is that of all of it, would rock on them.
+        tangent of the tilt, in units of its height, as margins are. On any board it must stay above the points that
+        touch: a slightly round face, whose margin is that of all of it, would rock on them.
         """
         items, numbers, surfaces, bases, limits, weights = [], [], [], [], [], []
         for number, support in enumerate(cell.supports):
@@ -199,7 +199,8 @@ def _on(support: Support | Fixture, body: ObjectModel) -> Iterator[tuple[int, Fl
         return
     low, high = (np.append(side, yaw) for side, yaw in zip(support.workspace.array, (-np.inf, np.inf), strict=True))
     for k, placement in enumerate(body.placements):
-        if not support.slope or (placement.margin - support.slope >= LEAST_MARGIN and _keeps(body, k, support.slope)):
+        stable = not support.slope or placement.margin - support.slope >= LEAST_MARGIN
+        if stable and _keeps(body, k, support.slope):
             yield k, placement.pose, low, high
 
 

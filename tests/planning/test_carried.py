@@ -142,3 +142,33 @@ def test_a_pose_in_a_nest_may_be_rounded(cell, off):
     plan = solve_sequence(problem, problem.pose(0, -0.2, 0.35), goal)
     assert plan.solved
     np.testing.assert_allclose(plan.poses[-1], T, atol=1e-6)
+
+
+@pytest.mark.parametrize(("step", "up"), [(0.0, 0.002), (0.004, 0.003), (0.004, 0.004)])
+def test_what_was_measured_above_one_board_does_not_mean_the_one_beside_it(tmp_path, step, up):
+    """Though the plane of that one may be nearer."""
+    board = '[[supports]]\nname = "{}"\nheight = {}\ncenter = [{}, 0.35]\nsize = [0.49, 0.6]\n'
+    arm = 'schema = 2\n[[arms]]\nrobot = "nova2"\nend_effector = "w"\n'
+    path = tmp_path / "cell.toml"
+    path.write_text(arm + board.format("left", 0.0, -0.25) + board.format("right", step, 0.25), encoding="utf-8")
+    problem = RegraspProblem.load("bottle", path)
+    T = problem.pose(0, -0.25, 0.35)
+    lifted = translation(0.0, 0.0, up) @ T
+    found = problem.at_rest(lifted)
+    assert (found.support, found.placement, found.inside) == ("left", 0, True)
+    plan = solve_sequence(problem, lifted, problem.pose(1, 0.2, 0.35, support="right"))
+    np.testing.assert_allclose(plan.poses[0], T, atol=1e-9)
+
+
+def test_a_placement_that_rocks_is_none_on_a_level_table_either(tmp_path):
+    """Its bottom is a cone so flat that it counts as one face, on whose side the can leans."""
+    angles = np.arange(48) * (np.pi / 24)
+    ring = 0.055 * np.column_stack([np.cos(angles), np.sin(angles), 0 * angles])
+    tip = (0.02, 0.0, -0.055 * np.tan(np.radians(1.3)))
+    trimesh.convex.convex_hull(np.concatenate([[tip], ring, 0.5 * ring + (0.0, 0.0, 0.06)])).export(
+        tmp_path / "can.stl"
+    )
+    problem = RegraspProblem.load(tmp_path / "can.stl", "nova2-w")
+    for rest in range(len(problem.rests)):
+        T = problem.rests.planar.at(rest, np.array([0.1, 0.35, 0.4]))
+        assert rest_problem(T, problem.object, problem.workcell) is None

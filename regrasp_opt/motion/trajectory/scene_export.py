@@ -46,7 +46,7 @@ def xml_names(names: Iterable[str], taken: Iterable[str] = ()) -> list[str]:
 
 
 def save_scene(plan: RegraspPlan, folder: str | os.PathLike[str]) -> None:
-    """Write the scene of `plan` into `folder`, all files or none.
+    """Write the scene of `plan` into `folder`, all files at once.
 
     All names of meshes are absolute. ``robot.urdf`` is the robot as the workcell has it; ``gripper.urdf`` has a
     prismatic joint for each finger, whose position is half the opening; ``surroundings.urdf`` holds table and obstacles
