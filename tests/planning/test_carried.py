@@ -161,14 +161,14 @@ def test_what_was_measured_above_one_board_does_not_mean_the_one_beside_it(tmp_p
 
 
 def test_a_placement_that_rocks_is_none_on_a_level_table_either(tmp_path):
-    """Its bottom is a cone so flat that it counts as one face, on whose side the can leans."""
-    angles = np.arange(48) * (np.pi / 24)
-    ring = 0.055 * np.column_stack([np.cos(angles), np.sin(angles), 0 * angles])
-    tip = (0.02, 0.0, -0.055 * np.tan(np.radians(1.3)))
-    trimesh.convex.convex_hull(np.concatenate([[tip], ring, 0.5 * ring + (0.0, 0.0, 0.06)])).export(
-        tmp_path / "can.stl"
-    )
-    problem = RegraspProblem.load(tmp_path / "can.stl", "nova2-w")
-    for rest in range(len(problem.rests)):
-        T = problem.rests.planar.at(rest, np.array([0.1, 0.35, 0.4]))
-        assert rest_problem(T, problem.object, problem.workcell) is None
+    """Its lower side counts as one face, on which it is stable, but it would lean away from the points that touch."""
+    lower = [(-18.0, -19.8, 0.3), (-3.6, -37.4, 0.5), (-58.6, -16.8, 1.4), (33.5, -54.6, 1.5), (-9.4, -64.0, 1.5)]
+    middle = [(-42.6, -57.1, 1.9), (73.3, -68.0, 3.7), (-78.8, 63.7, 3.8)]
+    upper = [(-42.4, 58.1), (3.0, 18.8), (-36.3, 34.1), (-31.6, 22.0), (-21.7, 20.0)]
+    points = np.array([*lower, *middle, *((x, y, 24.3) for x, y in upper)])
+    trimesh.convex.convex_hull(points / 1000).export(tmp_path / "slab.stl")
+    problem = RegraspProblem.load(tmp_path / "slab.stl", "nova2-w")
+    poses = [problem.pose(number, 0.1, 0.35, 0.4) for number in range(len(problem.object.placements))]
+    stable = [rest_problem(T, problem.object, problem.workcell) is None for T in poses]
+    assert stable == [True, True, False]
+    assert [rest.placement for rest in problem.rests] == [0, 1]
