@@ -77,7 +77,7 @@ class PoseLattice:
         if self.source is not None and not self._settled.any():
             return self.source.likelihoods(alpha)
         if alpha not in self._likelihoods:
-            self._likelihoods[alpha] = np.exp(-self.energies / np.float32(alpha))
+            self._likelihoods[alpha] = _likelihood(self.energies, alpha)
         return self._likelihoods[alpha]
 
     def under(self, rule: PromiseRule | None) -> PoseLattice:
@@ -122,7 +122,7 @@ class PoseLattice:
         self._settled[poses] |= ruled_out
         self.energies[poses] = block(self.energies[poses], ruled_out)
         for alpha, P in self._likelihoods.items():
-            P[poses] = np.exp(-self.energies[poses] / np.float32(alpha))
+            P[poses] = _likelihood(self.energies[poses], alpha)
 
     def number(self, placement: int, xi: FloatArray) -> int:
         """Return the number of a pose of this lattice, given by its placement and `xi` (3,)."""
@@ -166,6 +166,11 @@ class PoseLattice:
         with ThreadPoolExecutor(_WORKERS) as pool:
             list(pool.map(evaluate, range(len(placements))))
         return PoseLattice(numbers, xi, block(energies, ruled_out))
+
+
+def _likelihood(energies: NDArray[np.float32], alpha: float) -> NDArray[np.float32]:
+    found: NDArray[np.float32] = np.exp(-energies / np.float32(alpha))
+    return found
 
 
 def lattice_poses(placements: PlanarPoses) -> tuple[IntArray, FloatArray]:
@@ -214,7 +219,7 @@ def lattice_starts(
             first += size
             asked = lattice.settle(portion, useful)
             if len(asked):
-                reach[:, asked] = [np.exp(-lattice.energies[asked] / np.float32(alpha)) @ end for end in ends]
+                reach[:, asked] = [_likelihood(lattice.energies[asked], alpha) @ end for end in ends]
                 known, portion = False, _worth(lattice, objective, portion)
             found = np.concatenate([found, portion])
         if known:  # what was ranked first is what it seemed to be

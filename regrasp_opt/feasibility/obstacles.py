@@ -166,7 +166,7 @@ def _around(shape: Shape, board: int = -1) -> _Around:
     corners, points = surface_points(shape), np.zeros((0, 3))
     if isinstance(shape, Mesh):
         surface = trimesh.Trimesh(corners, shape.faces, process=False)
-        corners = corners[np.unique(shape.faces)]  # a vertex without a face is no part of the body
+        corners = corners[np.unique(shape.faces)]  # Coal ignores vertices that belong to no face
         count = min(4 * int(np.ceil(surface.area / _BETWEEN**2)), _MOST)
         points = np.concatenate([corners, trimesh.sample.sample_surface(surface, count, seed=0)[0]])
         cells = np.unique(np.floor(points / _BETWEEN).astype(np.int64), axis=0, return_index=True)[1]

@@ -33,7 +33,7 @@ SIZES = {"box": 3, "sphere": 1, "cylinder": 2, "cone": 2, "plane": 4, "mesh": 0}
 """How many numbers say how large each kind of shape is."""
 
 FARTHEST = 50.0
-"""Farthest position that an obstacle may have along an axis [m]: beyond, it is no obstacle, or in millimetres."""
+"""Largest coordinate of an obstacle [m]. A larger one is far out of reach, or in millimetres."""
 
 ADD, REMOVE, APPEND = 0, 1, 2
 """Operations of ``moveit_msgs/msg/CollisionObject``."""

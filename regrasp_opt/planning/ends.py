@@ -58,9 +58,9 @@ def resting_end(
         found = problem.nearest_rests(T)
         near = within_tolerance(found, tolerance)
         nearest = next(iter(near or found), None)
-        if nearest is None:
-            raise
-        if nearest.motion <= EXACT and isinstance(problem.workcell.support(nearest.support), Support):
+        if nearest is None or (
+            nearest.motion <= EXACT and isinstance(problem.workcell.support(nearest.support), Support)
+        ):
             raise
         if not near:
             raise PoseError(f"{error}; the nearest resting pose is {nearest.label}, {nearest.away} away") from error
